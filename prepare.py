@@ -1,0 +1,6 @@
+"""python prepare.py: see conf/prepare.yaml."""
+
+from sdfnet.cli import prepare
+
+if __name__ == "__main__":
+    prepare()

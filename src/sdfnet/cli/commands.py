@@ -1,0 +1,159 @@
+"""What each command does, as a function of its settings and of the folder to write to."""
+
+import logging
+import time
+import warnings
+from collections.abc import Mapping
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning import Trainer, seed_everything
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar
+from lightning.pytorch.loggers import TensorBoardLogger
+from rich.console import Console
+from rich.progress import Progress
+
+from sdfnet.cli.settings import EvaluateSettings, PrepareSettings, TrainSettings
+from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.data.prepare import prepare as prepare_files
+from sdfnet.data.prepare import prepare_mesh
+from sdfnet.data.store import DistanceSamples, described, key_of, read_distances, read_trajectory
+from sdfnet.errors import TrainingError
+from sdfnet.evaluation.evaluate import Evaluation, EvaluationSettings
+from sdfnet.evaluation.evaluate import evaluate as evaluate_networks
+from sdfnet.evaluation.report import result_of, table_of, write_report
+from sdfnet.geometry.bunny import beside_table_1
+from sdfnet.geometry.solids import ClosedSurface
+from sdfnet.models.networks import RECORD, Networks, load_networks, read_checkpoint
+from sdfnet.physics.plan import plan
+from sdfnet.physics.trajectory import Trajectory
+from sdfnet.training.losses import one_minus_cosine
+from sdfnet.training.module import SdfTraining
+
+logger = logging.getLogger(__name__)
+
+
+def train(settings: TrainSettings, output: Path) -> float:
+    """Prepare what is missing, train, evaluate; the mean chamfer_l1 in mm is what a sweep minimises."""
+    if settings.trainer.threads is not None:
+        torch.set_num_threads(settings.trainer.threads)
+    if settings.resume is not None:
+        _require_same_model(Path(settings.resume), settings)
+    seed_everything(settings.seed, verbose=False)
+    family = ShapeFamily(settings.dataset, Path(settings.data_folder), settings.batch, settings.split, settings.seed)
+    module = SdfTraining(family, settings.model, settings.training, settings.optimizer)
+    board = TensorBoardLogger(output, name="", version="tensorboard")
+    trainer = _trainer(settings, output, board)
+    with warnings.catch_warnings():
+        # Steps are numbers, not files: there is nothing for loader workers to do.
+        warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+        trainer.fit(module, datamodule=family, ckpt_path=settings.resume, weights_only=True)
+    trainer.save_checkpoint(output / "checkpoints" / "last.ckpt")
+    family.to(torch.device("cpu"))
+    seconds = {**family.files.seconds, "prepare": sum(family.files.seconds.values()), "train": module.train_seconds}
+    run = {"configuration": key_of(settings), "seed": settings.seed, "split": settings.split, "settings": described(settings)}
+    frames = family.train_frames.tolist()
+    result, evaluation = _measure(module.networks, family.trajectory, family.samples, frames, settings.evaluation, output, seconds, run)
+    _write_board(board, module.networks, family, evaluation, result)
+    return float(result["chamfer_l1_mm_mean"])
+
+
+def prepare(settings: PrepareSettings, output: Path) -> None:
+    """Make the data that are missing, and print what was made."""
+    folder = Path(settings.data_folder)
+    console = Console()
+    geometry = settings.dataset.scene.geometry
+    mesh = prepare_mesh(settings.dataset, folder)
+    if isinstance(geometry, ClosedSurface) and geometry.path is None:
+        console.print(beside_table_1(mesh.nodes), highlight=False)
+    console.print(plan(settings.dataset.scene, mesh).describe(), highlight=False)
+    if settings.plan_only:
+        return
+    files = prepare_files(settings.dataset, folder)
+    report = read_trajectory(files.trajectory).report
+    console.print("\n".join(f"{name}: {value}" for name, value in report.items()), highlight=False)
+    for what, path in (("tet mesh", files.mesh), ("simulation", files.trajectory), ("signed distances", files.distances)):
+        console.print(f"{what}: {path} ({'made' if what in files.built else 'was there'}, {files.seconds[what]:.1f} s)", highlight=False)
+
+
+def evaluate(settings: EvaluateSettings, output: Path) -> float:
+    """Measure a checkpoint on the prepared data that it was trained on."""
+    checkpoint = Path(settings.checkpoint)
+    record = read_checkpoint(checkpoint)[RECORD]
+    networks, folder = load_networks(checkpoint), Path(settings.data_folder)
+    trajectory, samples = read_trajectory(folder / record["trajectory"]), read_distances(folder / record["distances"])
+    run = {"checkpoint": str(checkpoint), "configuration": key_of(record), "settings": described(record)}
+    return float(_measure(networks, trajectory, samples, record["train_frames"], settings.evaluation, output, {}, run)[0]["chamfer_l1_mm_mean"])
+
+
+def _measure(
+    networks: Networks,
+    trajectory: Trajectory,
+    samples: DistanceSamples,
+    train_frames: list[int],
+    settings: EvaluationSettings,
+    output: Path,
+    seconds: Mapping[str, float],
+    run: Mapping[str, Any],
+) -> tuple[dict[str, Any], Evaluation]:
+    """Evaluate, print the table, write the report."""
+    began = time.perf_counter()
+    with Progress() as bars:
+        task = bars.add_task("evaluation", total=None)
+        evaluation = evaluate_networks(networks, trajectory, samples, settings, lambda done, total: bars.update(task, completed=done, total=total))
+    seconds = {**seconds, "evaluate": time.perf_counter() - began}
+    result = result_of(evaluation, networks, trajectory, train_frames, seconds, run)
+    write_report(output, evaluation, result, trajectory)
+    console = Console()
+    console.print(table_of(result))
+    console.print(f"seconds: {', '.join(f'{what} {value:.0f}' for what, value in seconds.items())}\nwritten to {output}", highlight=False)
+    return result, evaluation
+
+
+def _trainer(settings: TrainSettings, output: Path, board: TensorBoardLogger) -> Trainer:
+    chosen = settings.trainer
+    saved = ModelCheckpoint(output / "checkpoints", filename="latest", train_time_interval=timedelta(seconds=chosen.checkpoint_seconds))
+    callbacks: list[Callback] = [saved, RichProgressBar(refresh_rate=20)] if chosen.progress_bar else [saved]
+    return Trainer(
+        accelerator=chosen.accelerator,
+        devices=1,
+        precision=chosen.precision,  # type: ignore[arg-type]
+        max_epochs=settings.training.epochs,
+        check_val_every_n_epoch=settings.training.validate_every,
+        num_sanity_val_steps=0,
+        callbacks=callbacks,
+        logger=board,
+        enable_progress_bar=chosen.progress_bar,
+        enable_model_summary=False,
+        default_root_dir=output,
+    )
+
+
+def _require_same_model(checkpoint: Path, settings: TrainSettings) -> None:
+    """Raise TrainingError when a run is resumed with networks of another shape."""
+    saved, asked = read_checkpoint(checkpoint)[RECORD]["model"], vars(settings.model)
+    different = [f"{name} {saved[name]} there, {asked[name]} here" for name in asked if saved.get(name) != asked[name]]
+    if different:
+        raise TrainingError(f"'{checkpoint}' is of another model: {'; '.join(different)}; resume with the same model settings")
+
+
+def _write_board(board: TensorBoardLogger, networks: Networks, family: ShapeFamily, evaluation: Evaluation, result: Mapping[str, Any]) -> None:
+    """The last things that TensorBoard shows: cosine to the first frame (Figure 11), meshes, settings with their final metrics."""
+    latents = networks.latents(family.shapes)
+    for frame, gap in enumerate(one_minus_cosine(latents[:1].expand_as(latents), latents).tolist()):
+        board.experiment.add_scalar("latent/cosine_to_first_by_frame", 1 - gap, frame)
+    for frame, surfaces in evaluation.surfaces.items():
+        for name, surface in surfaces.items():
+            vertices, faces = torch.from_numpy(surface.vertices).float()[None], torch.from_numpy(surface.faces).int()[None]
+            board.experiment.add_mesh(f"surface/{name}", vertices, faces=faces, global_step=frame)
+    plain = {key: value for group in ("model", "optimizer", "training", "batch") for key, value in _flat(result["settings"][group], group)}
+    board.log_hyperparams(
+        plain | {"seed": result["seed"]}, {f"final/{name}": float(result[name]) for name in ("chamfer_l1_mm_mean", "chamfer_l1_mm_worst", "decoder_parameters")}
+    )
+    board.finalize("success")
+
+
+def _flat(settings: Mapping[str, Any], prefix: str) -> list[tuple[str, Any]]:
+    return [(f"{prefix}.{key}", value if isinstance(value, str | int | float | bool) else str(value)) for key, value in settings.items() if key != "kind"]

@@ -1,0 +1,101 @@
+"""From the command line to a command: Hydra composes the settings, and a user's mistake becomes one clear message."""
+
+import difflib
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra._internal.utils import get_args_parser
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import CompactHydraException, HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings
+from sdfnet.errors import ConfigurationError, SdfnetError
+from sdfnet.plugins import find_datasets, frozen, register_datasets, shipped, writable
+
+Command = Callable[[Any, Path], float | None]
+
+SCHEMAS: dict[str, type] = {"train": TrainSettings, "prepare": PrepareSettings, "evaluate": EvaluateSettings, "cost": CostSettings}
+
+
+def train() -> None:
+    """python train.py: prepare what is missing, train, evaluate."""
+    _main("train")
+
+
+def prepare() -> None:
+    """python prepare.py: only the data."""
+    _main("prepare")
+
+
+def evaluate() -> None:
+    """python evaluate.py checkpoint=...: measure a checkpoint again."""
+    _main("evaluate")
+
+
+def cost() -> None:
+    """python cost.py: what accuracy costs in time."""
+    _main("cost")
+
+
+def register() -> None:
+    """Put the schemas and all datasets into Hydra's config store. Raises ConfigurationError for a broken plugin."""
+    for name, schema in SCHEMAS.items():
+        ConfigStore.instance().store(name=f"{name}_schema", node=writable(schema), provider="sdfnet")
+    register_datasets(find_datasets())
+
+
+def _main(name: str) -> None:
+    def job(config: DictConfig) -> float | None:
+        from sdfnet.cli import commands  # late: composing and its errors do not wait for PyTorch
+
+        logging.getLogger("skfem").setLevel(logging.WARNING)
+        command: Command = getattr(commands, name)
+        try:
+            return command(frozen(config), Path(HydraConfig.get().runtime.output_dir))
+        except SdfnetError as error:
+            raise CompactHydraException(str(error)) from error  # Hydra prints it bare; HYDRA_FULL_ERROR=1 shows where it rose
+
+    try:
+        register()
+        overrides = get_args_parser().parse_known_args(sys.argv[1:])[0].overrides
+        check_overrides(name, overrides)
+    except SdfnetError as error:
+        sys.exit(f"{name}: {error}")
+    hydra.main(config_path=str(shipped("conf")), config_name=name, version_base="1.3")(job)()
+
+
+def check_overrides(name: str, overrides: list[str]) -> None:
+    """Compose once before Hydra does, so that a mistake can be answered with the nearest name. Raises ConfigurationError."""
+    try:
+        parsed = OverridesParser.create().parse_overrides(overrides)
+        first_of_sweeps = [
+            f"{override.input_line.split('=', 1)[0]}={next(override.sweep_string_iterator())}" if override.is_sweep_override() else str(override.input_line)
+            for override in parsed
+        ]
+        with hydra.initialize_config_dir(str(shipped("conf").resolve()), version_base="1.3"):
+            hydra.compose(name, first_of_sweeps)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigurationError(_explained(error)) from error
+
+
+def _explained(error: Exception) -> str:
+    """The error's own words, and for an unknown key the names that would have been known there."""
+    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    message = str(error).strip()
+    if cause is not error and str(cause).splitlines()[0] not in message:
+        message += "\n" + str(cause).splitlines()[0]
+    parent, key = getattr(cause, "parent_node", None), getattr(cause, "key", None)
+    if isinstance(parent, DictConfig) and isinstance(key, str):
+        known = [str(one) for one in parent]
+        nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+        message += f"\nDid you mean '{nearest[0]}'? " if nearest else "\n"
+        message += f"Known here: {', '.join(known)}"
+    return message

@@ -1,0 +1,187 @@
+"""The LightningDataModule: `prepare_data` makes the missing files, and every training step is a pure function of seed, epoch and step.
+
+All points and distances live on the device as tensors and are indexed there. A step's content does not depend on what came
+before it, so a run that was stopped anywhere resumes exactly.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int64
+from lightning import LightningDataModule
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from sdfnet.data.order import frames_of_step
+from sdfnet.data.prepare import PreparedFiles, prepare
+from sdfnet.data.store import DistanceSamples, read_distances, read_trajectory
+from sdfnet.errors import ConfigurationError
+from sdfnet.physics.trajectory import Trajectory
+from sdfnet.scene import Dataset
+
+SPLITS = ("all", "interpolation", "extrapolation")
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """What one training step sees. The defaults are the paper's: a pair of shapes, each with all the points that it kept."""
+
+    frames_per_step: int = 2
+    stride: int = 1  # how many frames further the next step starts
+    points_per_step: int | None = None  # drawn at random and shared by the step's frames; none: every frame's own kept points
+    near_share: float = 0.0  # fraction of the drawn points that come from the set about the surface
+    steps_per_epoch: int | None = None  # none: one pass over the frames
+    ordered_epochs: int = 6  # epochs in which frames come up, then down, before they are shuffled
+    validation_points: int = 4096  # held out of training, seen by every frame at validation
+
+    def __post_init__(self) -> None:
+        if self.frames_per_step < 1 or self.stride < 1:
+            raise ConfigurationError(f"batch.frames_per_step and stride must be at least 1, found {self.frames_per_step} and {self.stride}")
+        if not 0 <= self.near_share <= 1:
+            raise ConfigurationError(f"batch.near_share must lie in [0, 1], found {self.near_share}")
+        if self.points_per_step is None and self.near_share > 0:
+            raise ConfigurationError("batch.near_share needs batch.points_per_step; without it every frame has its own kept points")
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """One training step: some shapes, and distances (m) at points that they share or that each has for itself."""
+
+    frames: Int64[Tensor, " frames"]
+    shapes: Float32[Tensor, "frames vertices 3"]
+    points: Float32[Tensor, "points 3"] | Float32[Tensor, "frames points 3"]
+    distances: Float32[Tensor, "frames points"]
+
+
+class ShapeFamily(LightningDataModule):
+    """A dataset's shapes and distances. Frames are numbered by their place in time throughout; `train_frames` says which are trained on."""
+
+    trajectory: Trajectory
+    samples: DistanceSamples
+    files: PreparedFiles
+
+    def __init__(self, dataset: Dataset, folder: Path, batch: BatchSettings, split: str = "all", seed: int = 0, prepare_on: str = "cpu") -> None:
+        super().__init__()
+        self.dataset, self.folder, self.batch, self.seed, self._prepare_on = dataset, folder, batch, seed, prepare_on
+        self.train_frames = split_frames(dataset.scene.recording.frames, split)
+        if batch.frames_per_step > len(self.train_frames):
+            raise ConfigurationError(f"batch.frames_per_step is {batch.frames_per_step}, but the split '{split}' has {len(self.train_frames)} training frames")
+        if batch.near_share > 0 and dataset.sampling.near_surface_count <= batch.validation_points:
+            raise ConfigurationError("batch.near_share asks for points about the surface, but dataset.sampling.near_surface_count gives none to train on")
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Training steps in an epoch."""
+        one_pass = -(-len(self.train_frames) // self.batch.stride)
+        return one_pass if self.batch.steps_per_epoch is None else self.batch.steps_per_epoch
+
+    def prepare_data(self) -> None:
+        """Make the files that are missing (Lightning calls this once, on one process)."""
+        self.files = prepare(self.dataset, self.folder, self._prepare_on)
+
+    def setup(self, stage: str | None = None) -> None:
+        """Read the files and lay the tensors out for training."""
+        if hasattr(self, "samples"):
+            return
+        if not hasattr(self, "files"):  # on every process but the first
+            self.prepare_data()
+        self.trajectory = read_trajectory(self.files.trajectory)
+        self.samples = read_distances(self.files.distances)
+        mesh = self.trajectory.mesh
+        vertices = (mesh.nodes + self.trajectory.displacements)[:, mesh.surface_nodes]
+        self._tensors = {"shapes": torch.from_numpy(vertices.astype(np.float32))}
+        self._hold_out()
+
+    @property
+    def shapes(self) -> Float32[Tensor, "frames vertices 3"]:
+        """The surface vertices of every frame, trained on or not, m."""
+        return self._tensors["shapes"]
+
+    @property
+    def validation(self) -> Batch:
+        """All training frames at the held-out points."""
+        frames = torch.from_numpy(self.train_frames)
+        return Batch(frames, self.shapes[frames], self._tensors["validation_points"], self._tensors["validation_distances"].T[frames])
+
+    def to(self, device: torch.device) -> None:
+        """Move every tensor that training reads to a device."""
+        self._tensors = {name: values.to(device) for name, values in self._tensors.items()}
+
+    def step(self, epoch: int, step: int) -> Batch:
+        """The batch of a step, the same whenever it is asked for."""
+        settings, count = self.batch, len(self.train_frames)
+        places = frames_of_step(count, epoch, step, settings.frames_per_step, settings.stride, settings.ordered_epochs, self.seed)
+        frames = torch.from_numpy(self.train_frames[places])
+        if settings.points_per_step is None:
+            points, distances = self._own_points(frames)
+        else:
+            points, distances = self._drawn_points(frames, settings.points_per_step, epoch, step)
+        return Batch(frames, self.shapes[frames], points, distances)
+
+    def train_dataloader(self) -> DataLoader:
+        """The step numbers of an epoch; the LightningModule asks `step` for their content."""
+        return DataLoader(range(self.steps_per_epoch), batch_size=None)  # type: ignore[arg-type]
+
+    def val_dataloader(self) -> DataLoader:
+        """One validation batch, `validation`."""
+        return DataLoader(range(1), batch_size=None)  # type: ignore[arg-type]
+
+    def _hold_out(self) -> None:
+        """Split both sets of points into training and validation; distances are laid out point by point, for a step reads whole points."""
+        generator = np.random.default_rng([self.seed, 3])
+        held: dict[str, list[np.ndarray]] = {"points": [], "distances": []}
+        sets = {"box": (self.samples.points, self.samples.distances), "near": (self.samples.near_points, self.samples.near_distances)}
+        uses_near = self.batch.near_share > 0
+        for name, (points, distances) in sets.items():
+            share = self.batch.near_share if name == "near" else 1 - self.batch.near_share
+            count = min(round(share * self.batch.validation_points), len(points) // 2)
+            rows = np.zeros(len(points), dtype=np.bool_)
+            rows[generator.permutation(len(points))[:count]] = True
+            held["points"].append(points[rows])
+            held["distances"].append(distances[:, rows].T)
+            if name == "box" and self.batch.points_per_step is None:
+                self._keep_own(rows)
+            elif name == "box" or uses_near:
+                self._tensors[f"{name}_points"] = torch.from_numpy(points[~rows])
+                self._tensors[f"{name}_distances"] = torch.from_numpy(np.ascontiguousarray(distances[:, ~rows].T))
+        for name, parts in held.items():
+            self._tensors[f"validation_{name}"] = torch.from_numpy(np.concatenate(parts))
+
+    def _keep_own(self, held_out: np.ndarray) -> None:
+        kept = [row[~held_out[row]] for row in self.samples.kept]
+        smallest = min(len(row) for row in kept)
+        self._tensors |= {
+            "kept": torch.from_numpy(np.stack([row[:smallest] for row in kept])),
+            "box_points": torch.from_numpy(self.samples.points),
+            "frame_distances": torch.from_numpy(self.samples.distances),
+        }
+
+    def _own_points(self, frames: Tensor) -> tuple[Tensor, Tensor]:
+        kept = self._tensors["kept"][frames].long()
+        return self._tensors["box_points"][kept], self._tensors["frame_distances"][frames].gather(1, kept)
+
+    def _drawn_points(self, frames: Tensor, count: int, epoch: int, step: int) -> tuple[Tensor, Tensor]:
+        generator = np.random.default_rng([self.seed, 4, epoch, step])
+        near_count = round(self.batch.near_share * count)
+        points, distances = [], []
+        for name, size in (("near", near_count), ("box", count - near_count)):
+            if size > 0:
+                pool = self._tensors[f"{name}_points"]
+                rows = torch.from_numpy(generator.integers(0, len(pool), size)).to(pool.device)
+                points.append(pool[rows])
+                distances.append(self._tensors[f"{name}_distances"][rows])
+        return torch.cat(points), torch.cat(distances)[:, frames].T
+
+
+def split_frames(frames: int, split: str) -> Int64[np.ndarray, " train"]:
+    """The frames that are trained on: all; all but every fifth (interpolation); all but the last fifth (extrapolation)."""
+    numbers = np.arange(frames, dtype=np.int64)
+    if split == "all":
+        return numbers
+    if split == "interpolation":
+        return numbers[numbers % 5 != 2]
+    if split == "extrapolation":
+        return numbers[: frames - frames // 5]
+    raise ConfigurationError(f"split must be one of {', '.join(SPLITS)}; found '{split}'")

@@ -1,0 +1,175 @@
+"""From a dataset to its files: the stages that are missing, and nothing else.
+
+Three files, each named by the hash of what it is made from: the tet mesh (geometry settings and the surface file's
+bytes), the trajectory (that mesh's own hash and the scene), the distances (the trajectory's name and the sampling).
+A lock per file lets two runs at once build it once.
+"""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from filelock import FileLock
+from jaxtyping import Float32, Float64, Int64
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from sdfnet.data.sampling import box_points, keep_per_frame, near_surface_points, sampling_box
+from sdfnet.data.store import (
+    DistanceSamples,
+    described,
+    key_of,
+    read_mesh,
+    read_mesh_provenance,
+    read_provenance,
+    read_trajectory,
+    write_distances,
+    write_mesh,
+    write_trajectory,
+)
+from sdfnet.errors import ConfigurationError
+from sdfnet.geometry.distance import SurfaceDistance
+from sdfnet.geometry.solids import MeshedGeometry
+from sdfnet.geometry.surface import Surface
+from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.simulate import simulate
+from sdfnet.physics.trajectory import Trajectory
+from sdfnet.scene import Dataset, Sampling
+
+logger = logging.getLogger(__name__)
+
+Report = Callable[[int, int], None]  # done, total
+
+
+@dataclass(frozen=True)
+class PreparedFiles:
+    """Where the three stages' files lie, which of them this call built, and the seconds that each took when it was built."""
+
+    mesh: Path
+    trajectory: Path
+    distances: Path
+    built: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def prepare(dataset: Dataset, folder: Path, device: str = "cpu") -> PreparedFiles:
+    """Make the files of a dataset that `folder` lacks. Idempotent; safe to run twice at once; a killed run leaves no half file.
+
+    Raises ConfigurationError, GeometryError, PhysicsError or StoreError.
+    """
+    with _progress_bars() as bars:
+        stages = _Stages(bars)
+        mesh_path = _mesh_file(dataset, folder, stages)
+        mesh = read_mesh(mesh_path)
+        scene = dataset.scene
+        trajectory_path = folder / f"trajectory-{key_of(mesh.digest, scene.effects, scene.material, scene.recording, scene.solver)}.h5"
+        stages.run("simulation", trajectory_path, lambda report: _make_trajectory(trajectory_path, dataset, mesh, report))
+        distances_path = folder / f"distances-{key_of(trajectory_path.stem, dataset.sampling)}.h5"
+        stages.run("signed distances", distances_path, lambda report: _make_distances(distances_path, trajectory_path, dataset.sampling, device, report))
+    if not stages.built:
+        logger.info("nothing to prepare: mesh, trajectory and distances are all in %s", folder)
+    made = {"tet mesh": read_mesh_provenance(mesh_path), "simulation": read_provenance(trajectory_path), "signed distances": read_provenance(distances_path)}
+    seconds = {what: float(provenance["seconds"]) for what, provenance in made.items()}
+    return PreparedFiles(mesh_path, trajectory_path, distances_path, tuple(stages.built), seconds)
+
+
+def prepare_mesh(dataset: Dataset, folder: Path) -> TetMesh:
+    """The tet mesh of a dataset, made if `folder` lacks it; nothing is simulated."""
+    with _progress_bars() as bars:
+        return read_mesh(_mesh_file(dataset, folder, _Stages(bars)))
+
+
+class _Stages:
+    """Runs a stage if its file is not there, under a lock, with a progress bar."""
+
+    def __init__(self, bars: Progress) -> None:
+        self._bars = bars
+        self.built: list[str] = []
+
+    def run(self, what: str, path: Path, make: Callable[[Report], None]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(path.with_name(f".{path.name}.lock")):
+            if path.is_file():
+                logger.info("%s: already there, %s", what, path.name)
+                return
+            task = self._bars.add_task(what, total=None)
+            make(lambda done, total: self._bars.update(task, completed=done, total=total))
+            self._bars.update(task, completed=1, total=1)
+            self.built.append(what)
+
+
+def _progress_bars() -> Progress:
+    return Progress(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+
+
+def _mesh_file(dataset: Dataset, folder: Path, stages: _Stages) -> Path:
+    geometry = dataset.scene.geometry
+    if not isinstance(geometry, MeshedGeometry):
+        raise ConfigurationError(f"scene.geometry must derive from MeshedGeometry, found {type(geometry).__name__}")
+    path = folder / f"mesh-{key_of(geometry, geometry.inputs_digest())}.vtu"
+    stages.run("tet mesh", path, lambda report: _make_mesh(path, geometry))
+    return path
+
+
+def _make_mesh(path: Path, geometry: MeshedGeometry) -> None:
+    began = time.perf_counter()
+    mesh = geometry.tet_mesh()
+    write_mesh(path, mesh, {"geometry": described(geometry), "seconds": time.perf_counter() - began})
+
+
+def _make_trajectory(path: Path, dataset: Dataset, mesh: TetMesh, report: Report) -> None:
+    began = time.perf_counter()
+    trajectory = simulate(dataset.scene, mesh, report)
+    write_trajectory(path, trajectory, {"scene": described(dataset.scene), "mesh": mesh.digest, "seconds": time.perf_counter() - began})
+
+
+def _make_distances(path: Path, trajectory_path: Path, sampling: Sampling, device: str, report: Report) -> None:
+    began = time.perf_counter()
+    samples = sample_distances(read_trajectory(trajectory_path), sampling, device, report)
+    provenance = {"sampling": described(sampling), "trajectory": trajectory_path.name, "seconds": time.perf_counter() - began}
+    write_distances(path, samples, provenance)
+
+
+def sample_distances(trajectory: Trajectory, sampling: Sampling, device: str = "cpu", report: Report | None = None) -> DistanceSamples:
+    """The signed distances of every frame at points shared by all (paper section 3). `report(done, total)` after each frame."""
+    mesh = trajectory.mesh
+    vertices = (mesh.nodes + trajectory.displacements)[:, mesh.surface_nodes]
+    box = sampling_box(vertices, sampling.box_scale)
+    points = box_points(box, sampling)
+    near_points = near_surface_points(vertices, mesh.surface_faces, box, sampling.near_surface_spread * mesh.diagonal, sampling)
+    total = 2 * len(vertices)
+    distances = deforming_distances(points, vertices, mesh.surface_faces, device, lambda frame: report(frame, total) if report else None)
+    near_distances = deforming_distances(
+        near_points, vertices, mesh.surface_faces, device, lambda frame: report(len(vertices) + frame, total) if report else None
+    )
+    return DistanceSamples(box, points, distances, keep_per_frame(distances, sampling), near_points, near_distances)
+
+
+def deforming_distances(
+    points: Float32[np.ndarray, "points 3"],
+    vertices: Float64[np.ndarray, "frames vertices 3"],
+    faces: Int64[np.ndarray, "faces 3"],
+    device: str = "cpu",
+    after_frame: Callable[[int], None] | None = None,
+) -> Float32[np.ndarray, "frames points"]:
+    """Signed distance (m) of fixed points to each frame of a deforming surface.
+
+    The hierarchy is refitted per frame, and a frame's search is bounded by the last frame's distance plus the largest
+    vertex movement, which no distance can outgrow.
+    """
+    surface = SurfaceDistance(Surface(vertices[0], faces), device)
+    queries = torch.from_numpy(points).to(device)
+    distances = np.empty((len(vertices), len(points)), dtype=np.float32)
+    bound = None
+    for frame, moved in enumerate(vertices):
+        if frame > 0:
+            surface.deform(moved)
+            bound = found.abs() + float(np.linalg.norm(moved - vertices[frame - 1], axis=1).max())
+        found = surface.signed_distance(queries, bound)
+        distances[frame] = found.cpu().numpy()
+        if after_frame is not None:
+            after_frame(frame + 1)
+    return distances

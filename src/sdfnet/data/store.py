@@ -1,0 +1,203 @@
+"""Files that others can open and that say what they were made from.
+
+A trajectory or a set of distances is one HDF5 file with units, a format version and its provenance (settings, package
+versions, seconds) as attributes. Files are written beside their place and moved there whole, so a reader never sees half of one.
+"""
+
+import importlib.metadata
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import h5py
+import meshio
+import numpy as np
+from jaxtyping import Float32, Float64, Int32
+
+from sdfnet.data.sampling import SamplingBox
+from sdfnet.errors import GeometryError, StoreError
+from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.trajectory import Trajectory
+
+FORMAT_VERSION = 1  # raised when the meaning of a file changes; part of every name
+RECORDED_PACKAGES = ("sdfnet", "torch", "lightning", "hydra-core", "numpy", "scikit-fem", "pytetwild", "warp-lang", "h5py")
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceSamples:
+    """Signed distances (m) of all frames at shared points, and which points the paper's filter keeps in each frame."""
+
+    box: SamplingBox
+    points: Float32[np.ndarray, "points 3"]  # m
+    distances: Float32[np.ndarray, "frames points"]
+    kept: Int32[np.ndarray, "frames kept"]
+    near_points: Float32[np.ndarray, "near 3"]  # m
+    near_distances: Float32[np.ndarray, "frames near"]
+
+
+def described(settings: Any) -> Any:
+    """Settings as plain JSON values, the class of every dataclass included, for hashing and provenance."""
+    if is_dataclass(settings) and not isinstance(settings, type):
+        return {"kind": type(settings).__name__} | {entry.name: described(getattr(settings, entry.name)) for entry in fields(settings)}
+    if isinstance(settings, Mapping):
+        return {str(key): described(value) for key, value in settings.items()}
+    if isinstance(settings, list | tuple):
+        return [described(value) for value in settings]
+    return settings
+
+
+def key_of(*parts: Any) -> str:
+    """The short hash that names what is made from these settings and hashes."""
+    text = json.dumps([FORMAT_VERSION, *(described(part) for part in parts)], sort_keys=True)
+    return sha256(text.encode()).hexdigest()[:12]
+
+
+def versions() -> dict[str, str]:
+    """The versions of the packages that results depend on."""
+    return {name: importlib.metadata.version(name) for name in RECORDED_PACKAGES}
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Yield a path to write to; on success it becomes `path` in one move, on failure nothing is left."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{os.getpid()}-{path.name}")
+    try:
+        yield unfinished
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def write_mesh(path: Path, mesh: TetMesh, provenance: Mapping[str, Any]) -> None:
+    """Write the tet mesh as .vtu (exact, what sdfnet reads again), beside it as Medit .mesh, and its provenance as .json."""
+    with written_whole(path.with_suffix(".json")) as unfinished:
+        unfinished.write_text(json.dumps({**provenance, "versions": versions()}, indent=2))
+    contents = meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)])
+    for target in (path.with_suffix(".mesh"), path):
+        with written_whole(target) as unfinished:
+            contents.write(unfinished)
+
+
+def read_mesh(path: Path) -> TetMesh:
+    """Read a .vtu or .mesh of tets. Raises StoreError when it is not one."""
+    try:
+        contents = meshio.read(path)
+        return TetMesh(np.asarray(contents.points, dtype=np.float64), np.asarray(contents.cells_dict["tetra"], dtype=np.int64))
+    except (meshio.ReadError, ElementTree.ParseError, KeyError, ValueError, OSError, GeometryError) as error:
+        raise StoreError(f"'{path}' is not a whole tet mesh ({error}); delete it and it is made again") from error
+
+
+def read_mesh_provenance(path: Path) -> dict[str, Any]:
+    """The settings, versions and seconds of a tet mesh. Raises StoreError."""
+    try:
+        return dict(json.loads(path.with_suffix(".json").read_text()))
+    except (OSError, ValueError) as error:
+        raise StoreError(f"'{path.with_suffix('.json')}' is missing or not whole ({error}); delete '{path}' and both are made again") from error
+
+
+def write_trajectory(path: Path, trajectory: Trajectory, provenance: Mapping[str, Any]) -> None:
+    """Write a trajectory as HDF5 with an .xdmf beside it that ParaView opens as an animation."""
+    with _new_file(path, "trajectory", provenance) as file:
+        _put(file, "nodes", trajectory.mesh.nodes, "m")
+        _put(file, "tets", trajectory.mesh.tets, "node index")
+        _put(file, "times", trajectory.times, "s")
+        _put(file, "displacements", trajectory.displacements, "m")
+        file.attrs["time_step_s"] = trajectory.time_step
+        file.attrs["report"] = json.dumps(trajectory.report)
+    with written_whole(path.with_suffix(".xdmf")) as unfinished:
+        _xdmf(path.name, trajectory).write(unfinished, xml_declaration=True, encoding="utf-8")
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read what `write_trajectory` wrote. Raises StoreError."""
+    with _known_file(path, "trajectory") as file:
+        mesh = TetMesh(file["nodes"][:], file["tets"][:])
+        return Trajectory(mesh, file["times"][:], file["displacements"][:], float(file.attrs["time_step_s"]), json.loads(file.attrs["report"]))
+
+
+def write_distances(path: Path, samples: DistanceSamples, provenance: Mapping[str, Any]) -> None:
+    """Write a set of distances as HDF5."""
+    with _new_file(path, "distances", provenance) as file:
+        _put(file, "box", np.stack([samples.box.lower, samples.box.upper]), "m")
+        _put(file, "points", samples.points, "m")
+        _put(file, "distances", samples.distances, "m, negative inside")
+        _put(file, "kept", samples.kept, "point index")
+        _put(file, "near_points", samples.near_points, "m")
+        _put(file, "near_distances", samples.near_distances, "m, negative inside")
+
+
+def read_distances(path: Path) -> DistanceSamples:
+    """Read what `write_distances` wrote. Raises StoreError."""
+    with _known_file(path, "distances") as file:
+        return DistanceSamples(
+            SamplingBox(*file["box"][:]), file["points"][:], file["distances"][:], file["kept"][:], file["near_points"][:], file["near_distances"][:]
+        )
+
+
+def read_provenance(path: Path) -> dict[str, Any]:
+    """The settings, versions and seconds recorded in one of sdfnet's HDF5 files. Raises StoreError."""
+    with _known_file(path, None) as file:
+        return dict(json.loads(file.attrs["provenance"]))
+
+
+@contextmanager
+def _new_file(path: Path, kind: str, provenance: Mapping[str, Any]) -> Iterator[h5py.File]:
+    try:
+        with written_whole(path) as unfinished, h5py.File(unfinished, "w") as file:
+            file.attrs.update({"format": "sdfnet", "kind": kind, "version": FORMAT_VERSION, "provenance": json.dumps({**provenance, "versions": versions()})})
+            yield file
+    except OSError as error:
+        raise StoreError(f"'{path}' could not be written: {error}; free some space or choose another data_folder") from error
+
+
+@contextmanager
+def _known_file(path: Path, kind: str | None) -> Iterator[h5py.File]:
+    cure = "delete it and it is made again"
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("format") != "sdfnet":
+                raise StoreError(f"'{path}' is an HDF5 file of another program, expected one written by sdfnet; {cure}")
+            if file.attrs["version"] != FORMAT_VERSION:
+                raise StoreError(f"'{path}' has format version {file.attrs['version']}, expected {FORMAT_VERSION}; {cure}")
+            if kind is not None and file.attrs["kind"] != kind:
+                raise StoreError(f"'{path}' holds {file.attrs['kind']}, expected {kind}; {cure}")
+            yield file
+    except FileNotFoundError as error:
+        raise StoreError(f"no file at '{path}'; run prepare.py first") from error
+    except (OSError, KeyError) as error:
+        raise StoreError(f"'{path}' is truncated or not an HDF5 file of sdfnet ({error}); {cure}") from error
+
+
+def _put(file: h5py.File, name: str, values: Float64[np.ndarray, "..."] | np.ndarray, unit: str) -> None:
+    file.create_dataset(name, data=values).attrs["unit"] = unit
+
+
+def _xdmf(file_name: str, trajectory: Trajectory) -> ElementTree.ElementTree:
+    """One grid per frame, all reading the same nodes and tets from the HDF5 file."""
+    frames, nodes, _ = trajectory.displacements.shape
+    root = ElementTree.Element("Xdmf", Version="3.0")
+    series = ElementTree.SubElement(ElementTree.SubElement(root, "Domain"), "Grid", Name="trajectory", GridType="Collection", CollectionType="Temporal")
+
+    def item(parent: ElementTree.Element, dimensions: str, number: str, text: str) -> None:
+        precision = {"Float": "8", "Int": "8"}[number]
+        ElementTree.SubElement(parent, "DataItem", Dimensions=dimensions, NumberType=number, Precision=precision, Format="HDF").text = text
+
+    for frame, moment in enumerate(trajectory.times):
+        grid = ElementTree.SubElement(series, "Grid", Name="solid")
+        ElementTree.SubElement(grid, "Time", Value=f"{moment:.9g}")
+        tets = len(trajectory.mesh.tets)
+        item(ElementTree.SubElement(grid, "Topology", TopologyType="Tetrahedron", NumberOfElements=str(tets)), f"{tets} 4", "Int", f"{file_name}:/tets")
+        item(ElementTree.SubElement(grid, "Geometry", GeometryType="XYZ"), f"{nodes} 3", "Float", f"{file_name}:/nodes")
+        attribute = ElementTree.SubElement(grid, "Attribute", Name="displacement", AttributeType="Vector", Center="Node")
+        slab = ElementTree.SubElement(attribute, "DataItem", ItemType="HyperSlab", Dimensions=f"{nodes} 3")
+        ElementTree.SubElement(slab, "DataItem", Dimensions="3 3", Format="XML").text = f"{frame} 0 0 1 1 1 1 {nodes} 3"
+        item(slab, f"{frames} {nodes} 3", "Float", f"{file_name}:/displacements")
+    ElementTree.indent(root)
+    return ElementTree.ElementTree(root)

@@ -1,0 +1,184 @@
+"""The networks beside KNN-1 and the marching-cubes floor, frame by frame (paper, Results)."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from sdfnet.data.store import DistanceSamples
+from sdfnet.errors import ConfigurationError, ReconstructionError
+from sdfnet.evaluation.baselines import NearestSample, nearest_sample_bytes
+from sdfnet.evaluation.field_errors import EikonalErrors, FieldErrors, VolumeErrors, eikonal_error, field_errors, volume_errors
+from sdfnet.evaluation.metrics import NO_SURFACE, SurfaceErrors, aggregate, surface_errors
+from sdfnet.evaluation.reconstruct import Grid, exact_values, surface_from_values, values_of_frames
+from sdfnet.geometry.distance import SurfaceDistance
+from sdfnet.geometry.surface import Surface
+from sdfnet.models.networks import Networks
+from sdfnet.physics.trajectory import Trajectory
+
+logger = logging.getLogger(__name__)
+
+METHODS = ("network", "knn1", "floor")
+EIKONAL_POINTS = 20_000
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """What `evaluation.*` sets. The defaults are the paper's 100^3 grid and METRICS' sample counts."""
+
+    resolution: int = 100  # grid points along each axis of the sampling box
+    every: int = 1  # measure every so many frames, the last always among them
+    surface_samples: int = 131_072  # on each of two surfaces that are compared
+    volume_samples: int = 1_000_000  # for the overlap of volumes, on the volume frames only
+    volume_frames: int = 3  # how many frames, evenly spaced, get volume, field and eikonal errors
+    mesh_frames: tuple[int, ...] = (-1,)  # frames whose meshes are written; negative ones count from the end
+
+    def __post_init__(self) -> None:
+        if self.every < 1 or self.volume_frames < 1 or self.surface_samples < 1 or self.volume_samples < 1:
+            raise ConfigurationError("evaluation.every, volume_frames, surface_samples and volume_samples must each be at least 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Errors of every method at every measured frame, and the surfaces of the frames that were asked for."""
+
+    surface_errors: dict[str, dict[int, SurfaceErrors]]  # by method, then frame
+    field_errors: dict[int, FieldErrors]
+    volume_errors: dict[int, VolumeErrors]
+    eikonal_errors: dict[int, EikonalErrors]
+    surfaces: dict[int, dict[str, Surface]]  # by frame, then truth or method
+    knn1_bytes_per_frame: int
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def summary(self, unseen_frames: list[int]) -> dict[str, float]:
+        """Every metric over the frames: the network's by its own name, the others with `knn1_` and `floor_` before it.
+
+        Frames that were not trained on are summed up again with `unseen_` before the name.
+        """
+        summary: dict[str, float] = {}
+        for method, errors in self.surface_errors.items():
+            prefix = "" if method == "network" else f"{method}_"
+            summary |= {prefix + name: value for name, value in aggregate(errors).items()}
+            unseen = {frame: errors[frame] for frame in unseen_frames if frame in errors}
+            if unseen:
+                summary |= {f"unseen_{prefix}{name}": value for name, value in aggregate(unseen).items()}
+        for errors in (self.field_errors, self.volume_errors):
+            summary |= {name: value for name, value in aggregate(errors).items() if not name.startswith(("frames", "failed"))}
+        for name in ("eikonal_mean", "eikonal_p99"):
+            summary[name] = float(np.mean([getattr(found, name) for found in self.eikonal_errors.values()]))
+        summary["skill"] = 1 - summary["chamfer_l1_mm_mean"] / summary["knn1_chamfer_l1_mm_mean"]
+        return summary
+
+
+def evaluate(
+    networks: Networks,
+    trajectory: Trajectory,
+    samples: DistanceSamples,
+    settings: EvaluationSettings,
+    progress: Callable[[int, int], None] | None = None,
+) -> Evaluation:
+    """Reconstruct and measure every frame by the network, by KNN-1 on the paper's sampling, and from the exact distance.
+
+    All three are marched on one grid over the sampling box. A network without a surface in a frame is counted as a
+    failure there. `progress(done, total)` is called after every frame.
+    """
+    frames = measured_frames(len(trajectory.times), settings.every)
+    wanted = {frame % len(trajectory.times) for frame in settings.mesh_frames} & set(frames)
+    volume_frames = {frames[round(k)] for k in np.linspace(0, len(frames) - 1, settings.volume_frames)}
+    mesh = trajectory.mesh
+    vertices = torch.from_numpy((mesh.nodes + trajectory.displacements)[:, mesh.surface_nodes].astype(np.float32))
+    grid = Grid(samples.box.lower, samples.box.upper, settings.resolution)
+    clock = _Clock()
+    networks = networks.eval().cpu()
+    latents = networks.latents(vertices)[frames]
+    values = values_of_frames(lambda points: networks.decoder(latents, points), grid)
+    clock.stop("network_values")
+    nearest = NearestSample(torch.from_numpy(samples.points), grid.points())
+    clock.stop("knn1_values")
+    truth = SurfaceDistance(trajectory.surface(0))
+    evaluation = Evaluation({method: {} for method in METHODS}, {}, {}, {}, {frame: {} for frame in wanted}, nearest_sample_bytes(samples.kept.shape[1]))
+    for place, frame in enumerate(frames):
+        true = trajectory.surface(frame)
+        truth.deform(true.vertices)
+        clock.stop("truth")
+        fields = {"network": values[place], "knn1": _knn1_values(nearest, samples, frame, grid)}
+        clock.stop("knn1_values")
+        fields["floor"] = exact_values(truth, grid)
+        clock.stop("floor_values")
+        surfaces = {method: _surface_or_none(grid_values, grid, method, frame) for method, grid_values in fields.items()}
+        clock.stop("marching_cubes")
+        for method, surface in surfaces.items():
+            errors = NO_SURFACE if surface is None else surface_errors(surface, true, mesh.diagonal, settings.surface_samples, true_distance=truth)
+            evaluation.surface_errors[method][frame] = errors
+        clock.stop("surface_errors")
+        if frame in wanted:
+            evaluation.surfaces[frame] |= {"truth": true} | {method: surface for method, surface in surfaces.items() if surface is not None}
+        if frame in volume_frames:
+            _measure_field(evaluation, networks, latents[place : place + 1], truth, samples, frame, mesh.diagonal, settings)
+        clock.stop("field_and_volume_errors")
+        if progress is not None:
+            progress(place + 1, len(frames))
+    evaluation.seconds.update(clock.seconds)
+    return evaluation
+
+
+def measured_frames(count: int, every: int) -> list[int]:
+    """Every `every`-th frame, and the last."""
+    return sorted({*range(0, count, every), count - 1})
+
+
+def _knn1_values(nearest: NearestSample, samples: DistanceSamples, frame: int, grid: Grid) -> Float32[Tensor, "x y z"]:
+    return nearest.values(torch.from_numpy(samples.distances[frame]), torch.from_numpy(samples.kept[frame])).reshape(grid.shape)
+
+
+def _surface_or_none(values: Tensor, grid: Grid, method: str, frame: int) -> Surface | None:
+    try:
+        return surface_from_values(values, grid)
+    except ReconstructionError as error:
+        logger.warning("frame %d, %s: counted as failed: %s", frame, method, error)
+        return None
+
+
+def _measure_field(
+    evaluation: Evaluation,
+    networks: Networks,
+    latent: Tensor,
+    truth: SurfaceDistance,
+    samples: DistanceSamples,
+    frame: int,
+    diagonal: float,
+    settings: EvaluationSettings,
+) -> None:
+    def predicted(points: Tensor) -> Tensor:
+        return networks.decoder(latent, points)[0]
+
+    def chunked(points: Tensor) -> Tensor:
+        return torch.cat([predicted(chunk) for chunk in points.split(16_384)])
+
+    points = torch.from_numpy(np.concatenate([samples.points, samples.near_points]))
+    true = torch.from_numpy(np.concatenate([samples.distances[frame], samples.near_distances[frame]]))
+    with torch.no_grad():
+        evaluation.field_errors[frame] = field_errors(chunked(points), true, diagonal)
+        evaluation.volume_errors[frame] = volume_errors(
+            lambda asked: chunked(asked) < 0, lambda asked: truth.signed_distance(asked) < 0, samples.box.lower, samples.box.upper, settings.volume_samples
+        )
+    chosen = torch.from_numpy(np.random.default_rng(0).integers(0, len(points), EIKONAL_POINTS))
+    evaluation.eikonal_errors[frame] = eikonal_error(predicted, points[chosen])
+
+
+class _Clock:
+    """Seconds by name; each stop takes what passed since the last."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def stop(self, name: str) -> None:
+        now = time.perf_counter()
+        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
+        self._last = now

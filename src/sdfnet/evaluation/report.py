@@ -1,0 +1,96 @@
+"""An evaluation as a table for the screen, `result.json`, meshes and a picture."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from rich.table import Table
+
+from sdfnet.data.store import versions, written_whole
+from sdfnet.evaluation.evaluate import METHODS, Evaluation
+from sdfnet.evaluation.figures import Panel, figure5
+from sdfnet.evaluation.metrics import vertex_errors
+from sdfnet.geometry.distance import SurfaceDistance
+from sdfnet.models.networks import Networks
+from sdfnet.physics.trajectory import Trajectory
+
+TITLES = {"network": "network", "knn1": "KNN-1", "floor": "floor (exact SDF)"}
+ROWS = (
+    ("chamfer_l1_mm", "chamfer L1 (mm)", 3),
+    ("accuracy_mm", "accuracy, network to truth (mm)", 3),
+    ("completeness_mm", "completeness, truth to network (mm)", 3),
+    ("p99_mm", "99th percentile (mm)", 3),
+    ("hausdorff_mm", "Hausdorff (mm)", 3),
+    ("normal_degrees", "normals (degrees)", 2),
+    ("f_score_0p1_percent", "F-score at 0.1 % of D", 3),
+    ("f_score_0p5_percent", "F-score at 0.5 % of D", 3),
+)
+
+
+def result_of(
+    evaluation: Evaluation, networks: Networks, trajectory: Trajectory, train_frames: list[int], seconds: Mapping[str, float], run: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Everything that a run found, flat, every unit in its name. `seconds` are added as `<stage>_seconds`, `run` as it is."""
+    frames = len(trajectory.times)
+    unseen = sorted(set(range(frames)) - set(train_frames))
+    return {
+        **run,
+        **evaluation.summary(unseen),
+        **networks.sizes(frames),
+        "knn1_bytes": evaluation.knn1_bytes_per_frame * frames,
+        "diagonal_mm": trajectory.mesh.diagonal * 1e3,
+        **{f"{stage.replace(' ', '_')}_seconds": value for stage, value in seconds.items()},
+        **{f"evaluate_{stage}_seconds": value for stage, value in evaluation.seconds.items()},
+        "device": "cpu" if not torch.cuda.is_available() else torch.cuda.get_device_name(),
+        "threads": torch.get_num_threads(),
+        "versions": versions(),
+    }
+
+
+def table_of(result: Mapping[str, Any]) -> Table:
+    """The network beside KNN-1 and the floor: mean over the frames and worst frame."""
+    table = Table(title=f"{result['frames']:.0f} frames, D = {result['diagonal_mm']:.1f} mm", title_justify="left")
+    table.add_column("mean / worst frame")
+    for method in METHODS:
+        table.add_column(TITLES[method], justify="right")
+    for metric, title, digits in ROWS:
+        cells = []
+        for method in METHODS:
+            prefix = "" if method == "network" else f"{method}_"
+            cells.append(f"{result[f'{prefix}{metric}_mean']:.{digits}f} / {result[f'{prefix}{metric}_worst']:.{digits}f}")
+        table.add_row(title, *cells)
+    if "unseen_frames" in result:
+        names = [("" if method == "network" else f"{method}_") + "chamfer_l1_mm" for method in METHODS]
+        cells = [f"{result[f'unseen_{name}_mean']:.3f} / {result[f'unseen_{name}_worst']:.3f}" for name in names]
+        table.add_row(f"chamfer L1, {result['unseen_frames']:.0f} frames never trained on (mm)", *cells)
+    table.add_row("failed frames", *[f"{result[('' if method == 'network' else f'{method}_') + 'failed_frames']:.0f}" for method in METHODS])
+    table.add_row("size", f"{result['query_bytes'] / 1e3:.1f} kB", f"{result['knn1_bytes'] / 1e6:.0f} MB", "the meshes")
+    table.add_row("parameters, decoder + encoder", f"{result['decoder_parameters']:,} + {result['encoder_parameters']:,}", "", "")
+    return table
+
+
+def write_report(folder: Path, evaluation: Evaluation, result: Mapping[str, Any], trajectory: Trajectory) -> None:
+    """Write `result.json`, and for each frame asked for its meshes as .ply and a picture like the paper's Figure 5."""
+    with written_whole(folder / "result.json") as unfinished:
+        unfinished.write_text(json.dumps(_plain(result), indent=2))
+    for frame, surfaces in evaluation.surfaces.items():
+        for name, surface in surfaces.items():
+            with written_whole(folder / "meshes" / f"frame_{frame:03d}_{name}.ply") as unfinished:
+                surface.as_trimesh().export(unfinished, file_type="ply")
+        truth = SurfaceDistance(trajectory.surface(frame))
+        panels = [Panel(surfaces["truth"], None, "truth", f"frame {frame} of {len(trajectory.times) - 1}")]
+        for method in ("network", "knn1"):
+            if method in surfaces:
+                errors = evaluation.surface_errors[method][frame]
+                size = f"{result['query_bytes'] / 1e3:.0f} kB" if method == "network" else f"{result['knn1_bytes'] / 1e6:.0f} MB"
+                caption = f"{errors.chamfer_l1_mm:.2f} mm mean error, {size} for all frames"
+                panels.append(Panel(surfaces[method], vertex_errors(surfaces[method], truth), TITLES[method], caption))
+        figure5(panels, folder / f"figure5_frame_{frame:03d}.png", maximum_mm=1.0)
+
+
+def _plain(result: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON has no infinity: what is not finite becomes null."""
+    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in result.items()}

@@ -1,0 +1,106 @@
+"""The kinds of solid that come with sdfnet. Each says how its tet mesh is made.
+
+A dataset may bring its own: derive from `MeshedGeometry`, add fields, and return a `TetMesh`.
+"""
+
+import hashlib
+from abc import abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from sdfnet.geometry.bunny import bunny_path, place
+from sdfnet.geometry.surface import load_surface, require_closed
+from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.geometry.tetrahedralise import tetrahedralise
+from sdfnet.scene import Geometry
+
+# The six tets that share the diagonal 0-7 of a cell whose corner k has the offsets (k & 1, k >> 1 & 1, k >> 2).
+KUHN_TETS = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+
+
+@dataclass(frozen=True)
+class MeshedGeometry(Geometry):
+    """A solid that can be turned into tets."""
+
+    @abstractmethod
+    def tet_mesh(self) -> TetMesh:
+        """Make the mesh."""
+
+    def inputs_digest(self) -> str:
+        """A hash of the files that the mesh is made from, empty when there are none; part of the mesh's name."""
+        return ""
+
+
+@dataclass(frozen=True)
+class ClosedSurface(MeshedGeometry):
+    """A closed triangle surface filled by fTetWild; without a path the Stanford Bunny (paper section 1)."""
+
+    path: str | None = None  # .obj, .ply, .stl or .usd; none: the bunny of the warp-lang package
+    up_axis: str = "y"  # which axis of the file points up: y or z
+    x_extent: float | None = 0.1551  # m, the solid is scaled to this length along x; none keeps its size
+    foot_depth: float | None = 0.007  # m, how far the lowest point lies under z = 0; none keeps the position
+    edge_length: float = 0.05  # wanted edge as a fraction of the bounding box diagonal
+    envelope: float = 1e-3  # how far the filled surface may leave the input, same fraction
+    stop_energy: float = 50.0  # fTetWild stops improving at this energy; 10 is better shaped and twice as slow
+    simplify: bool = False  # let fTetWild coarsen the surface first
+    repair: bool = False  # accept an open surface and let fTetWild close it
+
+    def source(self) -> Path:
+        """The file that is read."""
+        return bunny_path() if self.path is None else Path(self.path).expanduser()
+
+    def tet_mesh(self) -> TetMesh:
+        """Load, check, place, fill."""
+        surface = load_surface(self.source())
+        if not self.repair:
+            require_closed(surface, f"'{self.source().name}'")
+        placed = place(surface, self.up_axis, self.x_extent, self.foot_depth)
+        return tetrahedralise(placed, self.edge_length, self.envelope, self.stop_energy, self.simplify)
+
+    def inputs_digest(self) -> str:
+        """The hash of the surface file's bytes; a missing file is reported by `load_surface`."""
+        return hashlib.sha256(self.source().read_bytes()).hexdigest()[:12] if self.source().is_file() else ""
+
+
+@dataclass(frozen=True)
+class Box(MeshedGeometry):
+    """A box from the origin, cut into cubes of six tets."""
+
+    size: tuple[float, float, float] = (1.0, 1.0, 1.0)  # m
+    cells: tuple[int, int, int] = (4, 4, 4)
+
+    def tet_mesh(self) -> TetMesh:
+        """A regular grid."""
+        nodes, tets = kuhn_grid(self.cells)
+        return TetMesh(nodes * np.asarray(self.size, dtype=np.float64), tets)
+
+
+@dataclass(frozen=True)
+class Sphere(MeshedGeometry):
+    """A ball about the origin: a cube of tets, its shells pulled out to spheres."""
+
+    radius: float = 0.05  # m
+    cells: int = 8  # along a diameter
+
+    def tet_mesh(self) -> TetMesh:
+        """Each cubic shell becomes a spherical one, which keeps every tet's volume positive."""
+        nodes, tets = kuhn_grid((self.cells, self.cells, self.cells))
+        centred = 2 * nodes - 1
+        length = np.linalg.norm(centred, axis=1, keepdims=True)
+        shell = np.abs(centred).max(axis=1, keepdims=True)
+        ball = np.divide(centred * shell, length, out=np.zeros_like(centred), where=length > 0)
+        return TetMesh(self.radius * ball, tets)
+
+
+def kuhn_grid(cells: tuple[int, int, int]) -> tuple[Float64[np.ndarray, "nodes 3"], Int64[np.ndarray, "tets 4"]]:
+    """Nodes and tets of the unit cube cut into cells[0] x cells[1] x cells[2] cells of six tets each."""
+    counts = np.asarray(cells) + 1
+    axes = [np.linspace(0.0, 1.0, count) for count in counts]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    corner = np.stack(np.meshgrid(*[np.arange(cell) for cell in cells], indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    offsets = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)])
+    index = np.ravel_multi_index(tuple(np.moveaxis(corner + offsets, -1, 0)), tuple(counts))
+    return nodes, index[:, KUHN_TETS].reshape(-1, 4).astype(np.int64)

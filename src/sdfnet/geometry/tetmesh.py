@@ -1,0 +1,84 @@
+"""The tet mesh whose topology every frame shares, with its boundary surface."""
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from sdfnet.errors import GeometryError
+from sdfnet.geometry.surface import Surface
+
+# The four faces of a tet, wound so that their normals leave it when its volume is positive.
+TET_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+TET_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+
+
+@dataclass(frozen=True, eq=False)
+class TetMesh:
+    """Nodes and tets of a solid at rest.
+
+    Raises GeometryError when a tet is inverted or flat, or when a number is not finite: an explicit step through such
+    a mesh is never right.
+    """
+
+    nodes: Float64[np.ndarray, "nodes 3"]  # m
+    tets: Int64[np.ndarray, "tets 4"]
+
+    def __post_init__(self) -> None:
+        if len(self.tets) == 0:
+            raise GeometryError("a tet mesh needs at least one tet, found none")
+        if not np.isfinite(self.nodes).all():
+            raise GeometryError(f"tet mesh nodes must be finite, found {int((~np.isfinite(self.nodes)).any(axis=1).sum())} that are not")
+        bad = np.flatnonzero(self.volumes <= 0)
+        if len(bad):
+            raise GeometryError(f"every tet must have positive volume, found {len(bad)} inverted or flat, the first at index {bad[0]}")
+
+    @cached_property
+    def volumes(self) -> Float64[np.ndarray, " tets"]:
+        """Volume of each tet, m^3; negative where it is inverted."""
+        a, b, c, d = (self.nodes[self.tets[:, k]] for k in range(4))
+        return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+
+    @cached_property
+    def smallest_edge(self) -> float:
+        """Length of the shortest edge, m: the paper's h."""
+        ends = self.nodes[self.tets[:, TET_EDGES]]
+        return float(np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=-1).min())
+
+    @cached_property
+    def diagonal(self) -> float:
+        """D: length of the rest bounding box diagonal, m."""
+        return float(np.linalg.norm(np.ptp(self.nodes[self.boundary_faces.ravel()], axis=0)))
+
+    @cached_property
+    def boundary_faces(self) -> Int64[np.ndarray, "faces 3"]:
+        """The faces that belong to one tet only, as node indices, normals outward."""
+        faces = self.tets[:, TET_FACES].reshape(-1, 3)
+        _, first, uses = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        return faces[np.sort(first[uses == 1])]
+
+    @cached_property
+    def surface_nodes(self) -> Int64[np.ndarray, " vertices"]:
+        """The nodes on the boundary, ascending; row i of a frame's surface is node surface_nodes[i]."""
+        return np.unique(self.boundary_faces)
+
+    @cached_property
+    def surface_faces(self) -> Int64[np.ndarray, "faces 3"]:
+        """The boundary faces numbered in surface vertices."""
+        return np.searchsorted(self.surface_nodes, self.boundary_faces)
+
+    def surface(self, displacement: Float64[np.ndarray, "nodes 3"] | None = None) -> Surface:
+        """The boundary surface, at rest or displaced (m)."""
+        vertices = self.nodes[self.surface_nodes]
+        if displacement is not None:
+            vertices = vertices + displacement[self.surface_nodes]
+        return Surface(vertices, self.surface_faces)
+
+    @cached_property
+    def digest(self) -> str:
+        """A hash of nodes and tets: what is made from this mesh is named by it, because fTetWild differs from run to run."""
+        content = hashlib.sha256(np.ascontiguousarray(self.nodes).tobytes())
+        content.update(np.ascontiguousarray(self.tets).tobytes())
+        return content.hexdigest()[:12]

@@ -1,0 +1,31 @@
+"""fTetWild behind one function: a closed surface in, a tet mesh out (paper section 1)."""
+
+import numpy as np
+import pytetwild
+
+from sdfnet.errors import GeometryError
+from sdfnet.geometry.surface import Surface
+from sdfnet.geometry.tetmesh import TetMesh
+
+
+def tetrahedralise(surface: Surface, edge_length: float = 0.05, envelope: float = 1e-3, stop_energy: float = 50.0, simplify: bool = False) -> TetMesh:
+    """Fill a surface with tets.
+
+    `edge_length` and `envelope` (how far the result may leave the input) are fractions of the bounding box diagonal;
+    `stop_energy` is the AMIPS energy at which mesh improvement stops: lower is better shaped and slower. fTetWild uses
+    threads and does not repeat itself to the bit; name what you build from the result by `TetMesh.digest`.
+    Raises GeometryError when fTetWild leaves nothing.
+    """
+    nodes, tets = pytetwild.tetrahedralize(
+        surface.vertices,
+        surface.faces.astype(np.int32),
+        edge_length_fac=edge_length,
+        epsilon=envelope,
+        stop_energy=stop_energy,
+        simplify=simplify,
+        quiet=True,
+    )
+    if len(tets) == 0:
+        raise GeometryError("fTetWild left no tets; the surface encloses nothing at this edge length, lower geometry.edge_length")
+    # fTetWild winds its tets the other way round.
+    return TetMesh(nodes.astype(np.float64), tets[:, [0, 2, 1, 3]].astype(np.int64))

@@ -1,0 +1,76 @@
+"""Both networks together, as they are trained, saved and read back."""
+
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor, nn
+
+from sdfnet.errors import TrainingError
+from sdfnet.models.decoder import SdfCalculator
+from sdfnet.models.encoder import MeshEncoder
+from sdfnet.models.settings import ModelSettings
+
+CHECKPOINT_PREFIX = "networks."
+RECORD = "sdfnet"  # the entry of a checkpoint that says what it is of
+
+
+class Networks(nn.Module):
+    """A Mesh Encoder and the SDF Calculator that understands its latents (paper section 4)."""
+
+    def __init__(
+        self, settings: ModelSettings, shapes: Float32[Tensor, "frames vertices 3"], lower: Float32[Tensor, "3"], upper: Float32[Tensor, "3"]
+    ) -> None:
+        super().__init__()
+        self.settings = settings
+        self.encoder = MeshEncoder(shapes, settings.encoder_widths, settings.latent)
+        self.decoder = SdfCalculator(settings, lower, upper)
+
+    def forward(self, shapes: Float32[Tensor, "frames vertices 3"], points: Float32[Tensor, "points 3"]) -> Float32[Tensor, "frames points"]:
+        """Signed distances (m) of shapes given by their vertices at points (m)."""
+        return self.decoder(self.encoder(shapes), points)
+
+    @torch.no_grad()
+    def latents(self, shapes: Float32[Tensor, "frames vertices 3"]) -> Float[Tensor, "frames latent"]:
+        """The latent vectors, without gradients."""
+        return self.encoder(shapes)
+
+    def sizes(self, frames: int) -> dict[str, int]:
+        """Parameters of each network, and the bytes that answer a query of any of `frames` shapes: decoder and latents in float32."""
+        decoder = self.decoder.parameter_count
+        return {
+            "decoder_parameters": decoder,
+            "encoder_parameters": sum(weights.numel() for weights in self.encoder.parameters()),
+            "query_bytes": 4 * (decoder + frames * self.settings.latent),
+        }
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """The plain contents of a training checkpoint. Raises TrainingError when there is none or it is not one of sdfnet's."""
+    if not path.is_file():
+        raise TrainingError(f"no checkpoint at '{path}'; give checkpoint=outputs/.../checkpoints/last.ckpt")
+    try:
+        contents = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch.load raises a dozen kinds for a file that is not its own
+        raise TrainingError(f"'{path}' is not a whole checkpoint of sdfnet ({type(error).__name__}: {error})") from error
+    if not isinstance(contents, dict) or RECORD not in contents:
+        raise TrainingError(f"'{path}' is a checkpoint of another program, expected one written by train.py")
+    return contents
+
+
+def load_networks(path: Path) -> Networks:
+    """The networks of a training checkpoint, of whatever size they were. Raises TrainingError."""
+    contents = read_checkpoint(path)
+    settings = ModelSettings(**contents[RECORD]["model"])
+    weights = {name.removeprefix(CHECKPOINT_PREFIX): values for name, values in contents["state_dict"].items()}
+    vertices = weights["encoder.mean_shape"]
+    networks = Networks(settings, torch.zeros(1, *vertices.shape), torch.zeros(3), torch.ones(3))
+    try:
+        networks.load_state_dict(weights)
+    except RuntimeError as error:
+        raise TrainingError(f"'{path}' does not fit the model that it names: {error}") from error
+    return networks
+
+

@@ -1,0 +1,1 @@
+"""What acts on the solid: one effect a file. `roles` says what an effect may need from the simulator."""

@@ -1,0 +1,196 @@
+"""The LightningModule: it wires networks, cycle, schedules and losses together, and holds no mathematics of its own."""
+
+import time
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from jaxtyping import Float, Float32
+from lightning import LightningModule
+from torch import Tensor
+from torch.optim import Adam, Optimizer
+from torch.optim.lr_scheduler import ReduceLROnPlateau
+
+from sdfnet.data.datamodule import Batch, ShapeFamily
+from sdfnet.errors import TrainingError
+from sdfnet.models.networks import RECORD, Networks
+from sdfnet.models.settings import ModelSettings
+from sdfnet.training.cycle import PhaseAt, phase_at
+from sdfnet.training.losses import alpha_latent, latent_loss, one_minus_cosine, sdf_loss
+from sdfnet.training.schedules import cosine, take_reading
+from sdfnet.training.settings import OptimizerSettings, TrainingSettings
+
+ADAM_BETAS = (0.9, 0.99)
+FRAMES_PER_VALIDATION_CHUNK = 4
+
+
+class SdfTraining(LightningModule):
+    """Trains the Mesh Encoder and the SDF Calculator (paper section 4) with manual optimisation, because they take turns.
+
+    The networks are made when the data are there, because their size follows the mesh. A checkpoint says in plain values
+    what the networks are and which prepared files they were trained on.
+    """
+
+    networks: Networks
+    train_seconds = 0.0
+
+    def __init__(self, family: ShapeFamily, model: ModelSettings, training: TrainingSettings, optimizer: OptimizerSettings) -> None:
+        super().__init__()
+        self.automatic_optimization = False
+        self._family, self._model, self._training, self._optimizer = family, model, training, optimizer
+        self._fixed_latents: Tensor | None = None
+        self._epoch_losses: list[Tensor] = []
+        self._validation_losses: Tensor | None = None
+
+    def configure_model(self) -> None:
+        """Make the networks for the mesh at hand (Lightning calls this after the data are set up)."""
+        if not hasattr(self, "networks"):
+            box = self._family.samples.box
+            lower, upper = (torch.from_numpy(corner).float() for corner in (box.lower, box.upper))
+            self.networks = Networks(self._model, self._family.shapes[self._family.train_frames], lower, upper)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Say what this is a checkpoint of."""
+        files = self._family.files
+        checkpoint[RECORD] = {
+            "model": asdict(self._model),
+            "trajectory": files.trajectory.name,
+            "distances": files.distances.name,
+            "train_frames": self._family.train_frames.tolist(),
+        }
+
+    def configure_optimizers(self) -> Any:
+        """One optimiser a network; with plateaus, one scheduler a plateau and network: four objects for the paper's two."""
+        settings = self._optimizer
+        optimizers: list[Optimizer] = [
+            Adam(self.networks.encoder.parameters(), lr=settings.encoder_rate, betas=ADAM_BETAS),
+            _decoder_optimizer(settings, self.networks.decoder),
+        ]
+        plateaus = settings.plateaus if settings.schedule == "plateau" else ()
+        return optimizers, [plateau.scheduler(optimizer) for plateau in plateaus for optimizer in optimizers]
+
+    def on_train_start(self) -> None:
+        """Move the data to the device that training runs on, once."""
+        self._family.to(self.device)
+        self._began = time.perf_counter()
+
+    def on_train_end(self) -> None:
+        """Note how long training took."""
+        self.train_seconds = time.perf_counter() - self._began
+
+    @property
+    def phase(self) -> PhaseAt:
+        """Which networks train in this epoch."""
+        return phase_at(self._training.cycle, self.current_epoch)
+
+    def on_train_epoch_start(self) -> None:
+        """Freeze the network whose turn it is not; compute the latents once when only the decoder trains."""
+        phase = self.phase
+        self.networks.encoder.requires_grad_(phase.trains_encoder)
+        self.networks.decoder.requires_grad_(phase.trains_decoder)
+        self._fixed_latents = None if phase.trains_encoder else self.networks.latents(self._family.shapes)
+        self._epoch_losses = []
+
+    def training_step(self, step: int, step_index: int) -> None:
+        """One step of whichever networks train. Raises TrainingError when the loss is not finite."""
+        batch = self._family.step(self.current_epoch, step_index)
+        phase = self.phase
+        if self._optimizer.schedule == "cosine":
+            self._set_cosine_rates(step_index)
+        latents = self.networks.encoder(batch.shapes) if self._fixed_latents is None else self._fixed_latents[batch.frames]
+        loss = self._loss(batch, latents)
+        encoder_optimizer, decoder_optimizer = self.optimizers()
+        active = [one for one, trains in ((encoder_optimizer, phase.trains_encoder), (decoder_optimizer, phase.trains_decoder)) if trains]
+        for optimizer in active:
+            optimizer.zero_grad(set_to_none=True)
+        self.manual_backward(loss)
+        with torch.autocast(self.device.type, enabled=False):  # Lightning calls this under bf16; optimisers compute in float32
+            for optimizer in active:
+                optimizer.step()
+        self._epoch_losses.append(loss.detach())
+        self._read_plateaus("batch", loss.detach())
+
+    def on_train_epoch_end(self) -> None:
+        """Log the epoch: losses as in Figure 4, rates, phase, latent cosine. Raises TrainingError for a loss that is not finite."""
+        losses = torch.stack(self._epoch_losses).float().cpu()
+        if not losses.isfinite().all():
+            raise TrainingError(
+                f"epoch {self.current_epoch}: the loss of step {int((~losses.isfinite()).nonzero()[0])} is not finite; "
+                f"the first layer with a bad weight is {self._first_bad_layer()}; lower optimizer.encoder_rate and decoder_rate"
+            )
+        encoder_optimizer, decoder_optimizer = self.optimizers()
+        readings = {
+            "loss/train_mean": losses.mean(),
+            "loss/train_max": losses.max(),
+            "rate/encoder": encoder_optimizer.param_groups[0]["lr"],
+            "rate/decoder": decoder_optimizer.param_groups[0]["lr"],
+            "phase/encoder_trains": float(self.phase.trains_encoder),
+            "phase/decoder_trains": float(self.phase.trains_decoder),
+        }
+        if self._validation_losses is not None:
+            readings |= {"loss/validation_mean": self._validation_losses.mean(), "loss/validation_max": self._validation_losses.max()}
+            latents = self.networks.latents(self._family.shapes)
+            readings["latent/cosine_first_to_last"] = 1 - one_minus_cosine(latents[:1], latents[-1:])[0]
+            self._validation_losses = None
+        for logger in self.loggers:
+            logger.log_metrics({name: float(value) for name, value in readings.items()}, step=self.current_epoch)
+
+    def validation_step(self, step: int, step_index: int) -> None:
+        """The SDF loss of every training frame at the held-out points."""
+        batch = self._family.validation
+        latents = self.networks.encoder(batch.shapes)
+        encoded = self.networks.decoder.encoded(batch.points)
+        self._validation_losses = torch.cat([
+            torch.stack([self._sdf_loss(row[None], true[None]) for row, true in zip(self.networks.decoder.from_encoded(some, encoded), trues, strict=True)])
+            for some, trues in zip(latents.split(FRAMES_PER_VALIDATION_CHUNK), batch.distances.split(FRAMES_PER_VALIDATION_CHUNK), strict=True)
+        ])
+
+    def on_validation_epoch_end(self) -> None:
+        """The second plateau listens to the mean over the frames (paper section 4, Scheduler 2)."""
+        if self._validation_losses is not None:
+            self.log("validation_loss", self._validation_losses.mean(), prog_bar=True, logger=False)
+            self._read_plateaus("validation", self._validation_losses.mean())
+
+    def _loss(self, batch: Batch, latents: Float[Tensor, "frames latent"]) -> Float32[Tensor, ""]:
+        loss = self._sdf_loss(self.networks.decoder(latents, batch.points), batch.distances)
+        weight = self._training.latent_weight * alpha_latent(self.current_epoch)
+        if weight > 0 and latents.requires_grad and len(latents) > 1:
+            loss = loss + weight * latent_loss(latents, batch.frames.to(latents.device))
+        return loss
+
+    def _sdf_loss(self, predicted: Tensor, true: Tensor) -> Tensor:
+        # Absolute errors are measured in a hundredth of D, so that rates suit a solid of any size; squared ones in metres, as the paper's.
+        diagonal = self._family.trajectory.mesh.diagonal
+        unit = 1.0 if self._training.power == 2 else diagonal / 100
+        focus = None if self._training.focus is None else self._training.focus * diagonal
+        return sdf_loss(predicted, true, self._training.power, focus, unit)
+
+    def _set_cosine_rates(self, step_index: int) -> None:
+        steps = self._family.steps_per_epoch
+        done = (self.current_epoch * steps + step_index) / (self._training.epochs * steps)
+        factor = cosine(done, self._optimizer.warmup)
+        for optimizer, rate in zip(self.optimizers(), (self._optimizer.encoder_rate, self._optimizer.decoder_rate), strict=True):
+            for group in optimizer.param_groups:
+                group["lr"] = rate * factor
+
+    def _read_plateaus(self, watches: str, loss: Tensor) -> None:
+        if self._optimizer.schedule != "plateau":
+            return
+        schedulers = self.lr_schedulers()
+        for index, plateau in enumerate(self._optimizer.plateaus):
+            if plateau.watches == watches and plateau.is_active(self.current_epoch):
+                for scheduler in schedulers[2 * index : 2 * index + 2]:
+                    assert isinstance(scheduler, ReduceLROnPlateau)
+                    take_reading(scheduler, float(loss), f"{watches} loss of epoch {self.current_epoch}")
+
+    def _first_bad_layer(self) -> str:
+        bad = [name for name, weights in self.networks.named_parameters() if not weights.isfinite().all()]
+        return bad[0] if bad else "none: the batch itself is not finite"
+
+
+def _decoder_optimizer(settings: OptimizerSettings, decoder: torch.nn.Module) -> Optimizer:
+    if settings.name == "adam":
+        return Adam(decoder.parameters(), lr=settings.decoder_rate, betas=ADAM_BETAS)
+    from pytorch_optimizer import SOAP
+
+    return SOAP(decoder.parameters(), lr=settings.decoder_rate)

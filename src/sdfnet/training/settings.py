@@ -1,0 +1,48 @@
+"""What `training.*` and `optimizer.*` set, with the checks that concern more than one of them."""
+
+from dataclasses import dataclass
+
+from sdfnet.errors import ConfigurationError
+from sdfnet.training.cycle import PAPER_CYCLE, Phase
+from sdfnet.training.schedules import PAPER_PLATEAUS, Plateau
+
+
+@dataclass(frozen=True)
+class OptimizerSettings:
+    """Optimisers of the two networks and how their rates change. The defaults are the paper's (Adam is our reading: it names none)."""
+
+    name: str = "adam"  # of the SDF Calculator: adam or soap (Vyas et al. 2024); the Mesh Encoder always has Adam
+    encoder_rate: float = 0.0075
+    decoder_rate: float = 0.005
+    schedule: str = "plateau"  # plateau: the paper's two; cosine: one cosine over the whole run
+    warmup: float = 0.0  # fraction of a cosine run in which the rates rise
+    plateaus: tuple[Plateau, ...] = PAPER_PLATEAUS
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("name", ("adam", "soap")), ("schedule", ("plateau", "cosine"))):
+            if getattr(self, name) not in allowed:
+                raise ConfigurationError(f"optimizer.{name} must be one of {', '.join(allowed)}; found '{getattr(self, name)}'")
+        for name in ("encoder_rate", "decoder_rate"):
+            if not getattr(self, name) > 0:
+                raise ConfigurationError(f"optimizer.{name} must be positive, found {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """How long and on what the networks learn. The defaults are the paper's."""
+
+    epochs: int = 592
+    cycle: tuple[Phase, ...] = PAPER_CYCLE
+    power: int = 2  # of the error in the loss: 2, as in equation 3, or 1
+    focus: float | None = None  # fraction of the diagonal D: errors are divided by 1 + |d| / (focus D); none: all count alike
+    latent_weight: float = 1.0  # factor on alpha_latent of equation 8; 0 leaves the latent loss out
+    validate_every: int = 1  # epochs between looks at the validation loss
+
+    def __post_init__(self) -> None:
+        if self.power not in (1, 2):
+            raise ConfigurationError(f"training.power must be 1 or 2, found {self.power}")
+        if self.focus is not None and self.focus <= 0:
+            raise ConfigurationError(f"training.focus must be positive, found {self.focus}")
+        for name in ("epochs", "validate_every"):
+            if getattr(self, name) < 1:
+                raise ConfigurationError(f"training.{name} must be at least 1, found {getattr(self, name)}")

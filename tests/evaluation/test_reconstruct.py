@@ -1,0 +1,160 @@
+"""Surfaces from values on a grid: where they lie, which way they face, and when they are refused."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from skimage.measure import marching_cubes
+from torch import Tensor
+
+from sdfnet.errors import ConfigurationError, ReconstructionError
+from sdfnet.evaluation.reconstruct import Grid, exact_values, surface_from_values, values_of_frames
+from sdfnet.geometry.distance import SurfaceDistance
+from sdfnet.geometry.surface import Surface
+
+RADIUS = 0.6
+CENTRE = np.array([0.3, -0.2, 0.1])
+
+
+def box_grid(resolution: int = 40) -> Grid:
+    """A box about the sphere, not centred on it and of different spacing along each axis."""
+    return Grid(np.array([-0.5, -1.2, -0.9]), np.array([1.2, 0.7, 0.9]), resolution)
+
+
+def sphere_values(grid: Grid) -> Tensor:
+    return (grid.points() - torch.from_numpy(CENTRE).float()).norm(dim=1).reshape(grid.shape) - RADIUS
+
+
+def two_icospheres() -> Surface:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.3)
+    vertices = np.vstack([ball.vertices + [0.0, 0.1, 0.0], ball.vertices + [0.65, -0.3, 0.2]])
+    return Surface(vertices, np.vstack([ball.faces, ball.faces + len(ball.vertices)]))
+
+
+def closed_volume(surface: Surface) -> float:
+    mesh = surface.as_trimesh()
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    return float(mesh.volume)
+
+
+def test_grid_points_fill_the_box_in_row_order() -> None:
+    grid = box_grid(5)
+    points = grid.points().reshape(5, 5, 5, 3)
+    assert torch.equal(points[0, 0, 0], torch.from_numpy(grid.lower).float())
+    assert torch.equal(points[-1, -1, -1], torch.from_numpy(grid.upper).float())
+    np.testing.assert_allclose(points[1, 2, 3], [axis[index] for axis, index in zip(grid.axes, (1, 2, 3), strict=True)], rtol=1e-6)
+    np.testing.assert_allclose(points[1, 1, 1] - points[0, 0, 0], grid.spacing, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "resolution", "message"),
+    [(0.0, 1.0, 1, "resolution of at least 2"), (1.0, 1.0, 10, "upper corner must lie above"), (np.nan, 1.0, 10, "upper corner must lie above")],
+)
+def test_grid_without_volume_is_refused(lower: float, upper: float, resolution: int, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        Grid(np.full(3, lower), np.full(3, upper), resolution)
+
+
+def test_sphere_comes_back_within_the_error_of_linear_interpolation() -> None:
+    grid = box_grid()
+    radii = np.linalg.norm(surface_from_values(sphere_values(grid), grid).vertices - CENTRE, axis=1)
+    # On an edge of length h a function with second derivative 1/R departs from its chord by at most h^2 / 8R.
+    assert np.abs(radii - RADIUS).max() <= grid.spacing.max() ** 2 / (8 * RADIUS) + 1e-6
+
+
+def test_surface_is_closed_and_faces_outward() -> None:
+    grid = box_grid()
+    # Inscribed facets of size h lose about h^2 / R^2 of the volume: 0.6 % here.
+    assert closed_volume(surface_from_values(sphere_values(grid), grid)) == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)
+
+
+def test_marching_only_the_occupied_block_changes_no_triangle() -> None:
+    grid = box_grid()
+    values = sphere_values(grid)
+    corners, triangles, _, _ = marching_cubes(values.numpy(), level=0.0, gradient_direction="descent")
+    surface = surface_from_values(values, grid)
+    np.testing.assert_array_equal(surface.faces, triangles)
+    # The full run holds positions in float32 up to 40 grid steps: 4e-6 steps of rounding, and the level margin moves 1e-4 of a step.
+    np.testing.assert_allclose(surface.vertices, grid.lower + corners * grid.spacing, atol=1.1e-4 * grid.spacing.max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_values_exactly_at_the_level_still_give_a_closed_surface_without_empty_triangles(seed: int) -> None:
+    grid = Grid(np.zeros(3), np.ones(3), 14)
+    values = torch.ones(grid.shape)
+    values[1:-1, 1:-1, 1:-1] = torch.from_numpy(np.random.default_rng(seed).integers(-1, 2, (12, 12, 12)).astype(np.float32))
+    surface = surface_from_values(values, grid)
+    assert closed_volume(surface) > 0
+    assert surface.as_trimesh().area_faces.min() > 0
+
+
+@pytest.mark.parametrize("resolution", [24, 37])
+def test_exact_values_give_the_triangles_of_a_query_at_every_point(resolution: int) -> None:
+    grid = Grid(np.array([-0.5, -0.7, -0.5]), np.array([1.1, 0.6, 0.8]), resolution)
+    distance = SurfaceDistance(two_icospheres())
+    values, dense = exact_values(distance, grid), distance.signed_distance(grid.points()).reshape(grid.shape)
+    assert torch.equal(values < 0, dense < 0)
+    surface, expected = surface_from_values(values, grid), surface_from_values(dense, grid)
+    np.testing.assert_array_equal(surface.faces, expected.faces)
+    np.testing.assert_array_equal(surface.vertices, expected.vertices)
+
+
+def test_exact_values_ask_for_a_small_part_of_the_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    distance = SurfaceDistance(two_icospheres())
+    answer, asked = distance.signed_distance, []
+
+    def counted(points: Tensor) -> Tensor:
+        asked.append(len(points))
+        return answer(points)
+
+    monkeypatch.setattr(distance, "signed_distance", counted)
+    grid = Grid(np.full(3, -0.8), np.full(3, 1.2), 80)
+    exact_values(distance, grid)
+    # The shell of one cell's diagonal about two spheres of radius 12 cells: 2 x 4 pi 12^2 x 2 x 1.73 points of 80^3,
+    # 2.4 %; the coarser levels ask as much again.
+    assert sum(asked) < 0.06 * grid.resolution**3
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_field_of_one_sign_is_refused_with_its_range(sign: float) -> None:
+    grid = box_grid(10)
+    values = sign * torch.linspace(0.25, 2.0, 1000).reshape(grid.shape)
+    with pytest.raises(ReconstructionError, match=r"found 0.25 to 2 m" if sign > 0 else r"found -2 to -0.25 m"):
+        surface_from_values(values, grid)
+
+
+def test_values_that_are_not_finite_are_counted_and_refused() -> None:
+    grid = box_grid(10)
+    values = sphere_values(grid)
+    values[2, 3, 4], values[5, 5, 5] = torch.nan, torch.inf
+    with pytest.raises(ReconstructionError, match="found 2 of 1000 that are not"):
+        surface_from_values(values, grid)
+
+
+@pytest.mark.parametrize(("axis", "side"), [(axis, side) for axis in range(3) for side in ("lower", "upper")])
+def test_surface_cut_by_the_box_is_refused_naming_the_face(axis: int, side: str) -> None:
+    lower, upper = CENTRE - 1.0, CENTRE + 1.0
+    (lower if side == "lower" else upper)[axis] = CENTRE[axis]
+    grid = Grid(lower, upper, 20)
+    with pytest.raises(ReconstructionError, match=f"on the {side} {'xyz'[axis]} face"):
+        surface_from_values(sphere_values(grid), grid)
+
+
+def test_values_of_another_grid_are_refused() -> None:
+    with pytest.raises(ReconstructionError, match=r"grid's shape \(10, 10, 10\), found \(9, 9, 9\)"):
+        surface_from_values(sphere_values(box_grid(9)), box_grid(10))
+
+
+@pytest.mark.parametrize("rows", [1, 7, 300, 10_000])
+def test_frames_of_a_field_are_its_values_in_calls_of_bounded_size(rows: int) -> None:
+    grid, sizes = box_grid(9), []
+    radii = torch.tensor([0.3, 0.4, 0.5])
+
+    def field(points: Tensor) -> Tensor:
+        sizes.append(3 * len(points))
+        return points.norm(dim=1)[None] - radii[:, None]
+
+    values = values_of_frames(field, grid, rows)
+    assert torch.equal(values, field(grid.points()).reshape(3, 9, 9, 9))
+    assert max(sizes[:-1]) <= max(rows, 3)

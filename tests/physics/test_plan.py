@@ -1,0 +1,150 @@
+"""What a scene is compiled into, the choice of the step, and every refusal and warning before it."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from jaxtyping import Bool, Float64
+
+from sdfnet.errors import ConfigurationError, PhysicsError
+from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.effects.body_force import BodyForce
+from sdfnet.physics.effects.pinned import Pinned
+from sdfnet.physics.effects.pressure_poke import PressurePoke
+from sdfnet.physics.effects.roles import AddsLoad, ConstrainsNodes, Load
+from sdfnet.physics.elasticity import ElasticModel
+from sdfnet.physics.plan import plan
+from sdfnet.scene import Effect, Geometry, Material, Recording, Scene, Solver
+
+MakeBox = Callable[..., TetMesh]
+FOOT = Pinned()
+EVERYWHERE = Pinned(point=(0.0, 0.0, 9.0), components=(True, False, False), boundary_only=False)
+PUSH = PressurePoke(center=(0.5, 0.5, 1.0), radius=0.2, pressure=10.0)
+
+
+@dataclass(frozen=True)
+class Grip(ConstrainsNodes, AddsLoad):
+    """As a user would write one: holds some nodes and pulls at others."""
+
+    def fixed_components(self, mesh: TetMesh) -> Bool[np.ndarray, "nodes 3"]:
+        return np.repeat(mesh.nodes[:, :1] == 0, 3, axis=1)
+
+    def load(self, model: ElasticModel) -> Load:
+        return Load(np.where(model.mesh.nodes[:, :1] == 1, [1.0, 0.0, 0.0], 0.0))
+
+
+@pytest.fixture(scope="module")
+def cube(make_box: MakeBox) -> TetMesh:
+    axis = np.linspace(0, 1, 4)
+    return make_box(axis, axis, axis)
+
+
+def scene_of(**effects: Effect) -> Scene:
+    return Scene(Geometry(), effects, recording=Recording(duration=0.05, frames=6))
+
+
+def test_constraints_are_united_and_loads_added(cube: TetMesh) -> None:
+    compiled = plan(scene_of(foot=FOOT, push=PUSH, grip=Grip()), cube)
+    np.testing.assert_array_equal(compiled.fixed, FOOT.fixed_components(cube) | Grip().fixed_components(cube))
+    expected = PUSH.load(compiled.model).nodal_force + Grip().load(compiled.model).nodal_force
+    np.testing.assert_array_equal(compiled.nodal_force, expected)
+    assert compiled.report["push_loaded_area_m2"] == PUSH.load(compiled.model).report["loaded_area_m2"]
+
+
+def test_auto_takes_the_fewest_steps_that_stay_within_safety_times_the_true_limit(cube: TetMesh) -> None:
+    for mass in ("lumped", "consistent"):
+        compiled = plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(mass=mass, safety=0.8)), cube)
+        allowed = 0.8 * compiled.limits.of(mass)
+        assert compiled.time_step <= allowed
+        assert 0.01 / (compiled.steps_per_frame - 1) > allowed
+        assert compiled.steps == 5 * compiled.steps_per_frame
+        assert compiled.time_step * compiled.steps == pytest.approx(0.05, rel=1e-15)
+
+
+def test_a_given_step_that_fills_the_interval_is_kept_and_nothing_is_logged(cube: TetMesh, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, logger="sdfnet.physics.plan"):
+        compiled = plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=1e-4)), cube)
+    assert compiled.steps_per_frame == 100
+    assert compiled.time_step == pytest.approx(1e-4, rel=1e-12)
+    assert caplog.messages == []
+
+
+def test_a_given_step_is_shortened_to_a_whole_number_per_frame_and_that_is_said(cube: TetMesh, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, logger="sdfnet.physics.plan"):
+        compiled = plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=3e-4)), cube)
+    assert compiled.steps_per_frame == 34
+    assert "time step 0.0003 s shortened to 0.000294118 s, so that 34 of them fill the 0.01 s between two frames" in caplog.text
+
+
+def test_a_step_over_the_true_limit_is_refused_with_both_numbers_and_the_cure(cube: TetMesh) -> None:
+    limit = plan(scene_of(foot=FOOT, push=PUSH), cube).limits.lumped
+    message = f"time step {1.001 * limit:.4g} s exceeds the stable limit {limit:.4g} s of the lumped mass; lower solver.time_step or set it to auto"
+    with pytest.raises(PhysicsError, match=f"^{message}$"):
+        plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=1.001 * limit)), cube)
+    assert plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=0.999 * limit)), cube).time_step < limit
+
+
+def test_the_limit_that_counts_is_that_of_the_mass_in_use(cube: TetMesh) -> None:
+    limits = plan(scene_of(foot=FOOT, push=PUSH), cube).limits
+    between = (limits.lumped + limits.consistent) / 2
+    plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=between)), cube)
+    with pytest.raises(PhysicsError, match="of the consistent mass"):
+        plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=between, mass="consistent")), cube)
+
+
+def test_the_plan_can_be_read(cube: TetMesh) -> None:
+    compiled = plan(scene_of(foot=FOOT, push=PUSH), cube)
+    text = compiled.describe()
+    assert "foot: Pinned fixes 48 components of 16 nodes" in text
+    assert "push: PressurePoke adds a constant load (loaded_area_m2 0.12" in text
+    assert "144 degrees of freedom free; mass lumped" in text
+    assert f"{compiled.steps} steps, {compiled.steps_per_frame} per frame, 6 frames over 0.05 s" in text
+    assert "the paper's CFL h_min/c" in text
+    assert "s predicted for the steps" in text
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ({"odd": Effect()}, "effect 'odd' .Effect. asks nothing of the simulator; derive it from a role"),
+        ({"foot": FOOT, "poke": PressurePoke(center=(0.5, 0.5, 0.0), radius=0.1)}, "the load must reach a node that is free to move"),
+        (
+            {"a": replace(EVERYWHERE, components=(True, True, False)), "b": replace(EVERYWHERE, components=(False, False, True))},
+            "found every component of every node fixed; pin less",
+        ),
+    ],
+)
+def test_scenes_in_which_nothing_could_happen_are_refused(cube: TetMesh, effects: dict[str, Effect], message: str) -> None:
+    with pytest.raises((ConfigurationError, PhysicsError), match=message):
+        plan(Scene(Geometry(), effects), cube)
+
+
+@pytest.mark.parametrize(
+    ("effects", "material", "message"),
+    [
+        ({"foot": FOOT}, Material(), "nothing loads the solid"),
+        ({"push": PUSH}, Material(), "nothing holds the solid: it flies freely"),
+        ({"foot": FOOT, "push": PUSH}, Material(poisson_ratio=0.46), "linear tets lock"),
+        ({"foot": FOOT, "push": replace(PUSH, pressure=4000.0)}, Material(), "the load is 0.8 of Young's modulus"),
+        ({"foot": FOOT, "weight": BodyForce(density=(0.0, 0.0, -600.0))}, Material(), "the load is 0.21 of Young's modulus"),
+    ],
+)
+def test_a_doubtful_scene_runs_with_one_warning(
+    cube: TetMesh, caplog: pytest.LogCaptureFixture, effects: dict[str, Effect], material: Material, message: str
+) -> None:
+    with caplog.at_level(logging.WARNING, logger="sdfnet.physics.plan"):
+        plan(replace(scene_of(**effects), material=material), cube)
+    assert len(caplog.messages) == 1
+    assert message in caplog.messages[0]
+
+
+def test_an_absent_effect_is_never_called(cube: TetMesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> Float64[np.ndarray, "nodes 3"]:
+        raise AssertionError("called for a scene that has no body force")
+
+    monkeypatch.setattr("sdfnet.physics.effects.body_force.body_force", refuse)
+    plan(scene_of(foot=FOOT, push=PUSH), cube)
+    with pytest.raises(AssertionError, match="called for a scene"):
+        plan(scene_of(foot=FOOT, weight=BodyForce(density=(0.0, 0.0, -1.0))), cube)
