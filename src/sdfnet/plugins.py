@@ -4,6 +4,7 @@ A plugin is a Python file in a folder named `datasets` (the project's own, or on
 an entry point of the group `sdfnet.datasets`. It defines functions decorated with `dataset`, each returning a `Dataset`.
 """
 
+import hashlib
 import importlib.metadata
 import importlib.util
 import inspect
@@ -15,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
-from omegaconf import Container, DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from sdfnet.errors import ConfigurationError
 from sdfnet.scene import Dataset
@@ -45,8 +46,8 @@ def shipped(folder: str) -> Path:
 def find_datasets(folders: Iterable[Path] | None = None) -> dict[str, Dataset]:
     """Every dataset by name: of the folders (default: the shipped one and ./datasets), then of the entry points.
 
-    Raises ConfigurationError when a plugin does not load, when a folder's file defines no dataset's name twice, or when
-    two files define one name.
+    Raises ConfigurationError when a plugin does not load, when one of its functions makes no dataset, or when two
+    files define one name.
     """
     searched = [shipped("datasets"), Path("datasets")] if folders is None else list(folders)
     files = {path.resolve() for folder in searched if folder.is_dir() for path in folder.glob("*.py")}
@@ -87,7 +88,7 @@ def frozen(config: DictConfig) -> Any:
 
 
 def _loaded_file(path: Path) -> ModuleType:
-    name = f"{PLUGIN_PACKAGE}.{path.stem}"
+    name = f"{PLUGIN_PACKAGE}.{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"  # two folders may hold files of one name
     specification = importlib.util.spec_from_file_location(name, path)
     if specification is None or specification.loader is None:
         raise ConfigurationError(f"dataset plugin '{path}' cannot be loaded as Python")
@@ -117,12 +118,12 @@ def _made_by(function: DatasetFunction, origin: Path) -> Dataset:
     return made
 
 
-def _make_writable(node: Container) -> None:
+def _make_writable(node: DictConfig | ListConfig) -> None:
     """Frozen dataclasses become read-only nodes; undo that all the way down."""
     OmegaConf.set_readonly(node, None)
     if node._is_missing() or node._is_none():
         return
-    keys = list(node.keys()) if isinstance(node, DictConfig) else range(len(node))
+    keys: list[Any] = list(node.keys()) if isinstance(node, DictConfig) else list(range(len(node)))
     for key in keys:
         child = node._get_node(key)
         if isinstance(child, DictConfig | ListConfig):

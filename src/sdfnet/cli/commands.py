@@ -1,25 +1,29 @@
 """What each command does, as a function of its settings and of the folder to write to."""
 
+import ctypes
+import json
 import logging
+import platform
 import time
 import warnings
-from collections.abc import Mapping
-from datetime import timedelta
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning import Trainer, seed_everything
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar
+from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.loggers import TensorBoardLogger
 from rich.console import Console
 from rich.progress import Progress
 
-from sdfnet.cli.settings import EvaluateSettings, PrepareSettings, TrainSettings
+from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings
+from sdfnet.cost.throughput import ROUNDS, InterleavedRounds, Throughput
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.prepare import prepare as prepare_files
 from sdfnet.data.prepare import prepare_mesh
-from sdfnet.data.store import DistanceSamples, described, key_of, read_distances, read_trajectory
+from sdfnet.data.store import DistanceSamples, described, key_of, read_distances, read_trajectory, versions, written_whole
 from sdfnet.errors import TrainingError
 from sdfnet.evaluation.evaluate import Evaluation, EvaluationSettings
 from sdfnet.evaluation.evaluate import evaluate as evaluate_networks
@@ -28,15 +32,20 @@ from sdfnet.geometry.bunny import beside_table_1
 from sdfnet.geometry.solids import ClosedSurface
 from sdfnet.models.networks import RECORD, Networks, load_networks, read_checkpoint
 from sdfnet.physics.plan import plan
+from sdfnet.physics.step_study import time_step_study
 from sdfnet.physics.trajectory import Trajectory
+from sdfnet.training.checkpoints import TimedCheckpoint
 from sdfnet.training.losses import one_minus_cosine
 from sdfnet.training.module import SdfTraining
 
 logger = logging.getLogger(__name__)
 
+MALLOC_OPTIONS = {-3: 1 << 30, -1: (1 << 31) - 1, -2: 64 << 20}  # M_MMAP_THRESHOLD, M_TRIM_THRESHOLD, M_TOP_PAD of malloc.h, bytes
+
 
 def train(settings: TrainSettings, output: Path) -> float:
     """Prepare what is missing, train, evaluate; the mean chamfer_l1 in mm is what a sweep minimises."""
+    keep_freed_memory()
     if settings.trainer.threads is not None:
         torch.set_num_threads(settings.trainer.threads)
     if settings.resume is not None:
@@ -46,9 +55,7 @@ def train(settings: TrainSettings, output: Path) -> float:
     module = SdfTraining(family, settings.model, settings.training, settings.optimizer)
     board = TensorBoardLogger(output, name="", version="tensorboard")
     trainer = _trainer(settings, output, board)
-    with warnings.catch_warnings():
-        # Steps are numbers, not files: there is nothing for loader workers to do.
-        warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+    with _steps_need_no_workers():
         trainer.fit(module, datamodule=family, ckpt_path=settings.resume, weights_only=True)
     trainer.save_checkpoint(output / "checkpoints" / "last.ckpt")
     family.to(torch.device("cpu"))
@@ -88,6 +95,48 @@ def evaluate(settings: EvaluateSettings, output: Path) -> float:
     return float(_measure(networks, trajectory, samples, record["train_frames"], settings.evaluation, output, {}, run)[0]["chamfer_l1_mm_mean"])
 
 
+def cost(settings: CostSettings, output: Path) -> None:
+    """Print and write what the time step, the mass and the way of training cost."""
+    console = Console()
+    findings: dict[str, Any] = {"settings": described(settings), "versions": versions(), "threads": torch.get_num_threads()}
+    if settings.measure in ("all", "step"):
+        scene = settings.dataset.scene
+        mesh = prepare_mesh(settings.dataset, Path(settings.data_folder))
+        console.print("\n".join(["step limits", *plan(scene, mesh).limits.lines()]), highlight=False)
+        study = time_step_study(scene, mesh, settings.duration)
+        console.print("\n".join(["", "time step: error against a tenth of the step, same mass", *study.lines()]), highlight=False)
+        findings["step"] = described(study)
+    if settings.measure in ("all", "throughput"):
+        throughput = _throughput(settings, output)
+        console.print("\n".join(["", "training throughput, medians of interleaved rounds", *throughput.lines()]), highlight=False)
+        findings["throughput"] = described(throughput) | {"ratio": throughput.ratio}
+    with written_whole(output / "cost.json") as unfinished:
+        unfinished.write_text(json.dumps(findings, indent=2))
+    console.print(f"written to {output}", highlight=False)
+
+
+def _throughput(settings: CostSettings, output: Path) -> Throughput:
+    keep_freed_memory()
+    family = ShapeFamily(settings.dataset, Path(settings.data_folder), settings.batch)
+    module = SdfTraining(family, settings.model, settings.training, settings.optimizer)
+    rounds = InterleavedRounds(family)
+    trainer = Trainer(
+        accelerator="cpu",
+        precision=settings.trainer.precision,  # type: ignore[arg-type]
+        max_epochs=ROUNDS,
+        limit_val_batches=0,
+        callbacks=[rounds],
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        default_root_dir=output,
+    )
+    with _steps_need_no_workers():
+        trainer.fit(module, datamodule=family)
+    return rounds.result()
+
+
 def _measure(
     networks: Networks,
     trajectory: Trajectory,
@@ -114,7 +163,7 @@ def _measure(
 
 def _trainer(settings: TrainSettings, output: Path, board: TensorBoardLogger) -> Trainer:
     chosen = settings.trainer
-    saved = ModelCheckpoint(output / "checkpoints", filename="latest", train_time_interval=timedelta(seconds=chosen.checkpoint_seconds))
+    saved = TimedCheckpoint(output / "checkpoints" / "latest.ckpt", chosen.checkpoint_seconds)
     callbacks: list[Callback] = [saved, RichProgressBar(refresh_rate=20)] if chosen.progress_bar else [saved]
     return Trainer(
         accelerator=chosen.accelerator,
@@ -124,11 +173,31 @@ def _trainer(settings: TrainSettings, output: Path, board: TensorBoardLogger) ->
         check_val_every_n_epoch=settings.training.validate_every,
         num_sanity_val_steps=0,
         callbacks=callbacks,
+        enable_checkpointing=False,
         logger=board,
         enable_progress_bar=chosen.progress_bar,
         enable_model_summary=False,
         default_root_dir=output,
     )
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep large freed blocks for the next step instead of giving them back and faulting every page in again."""
+    if platform.libc_ver()[0] == "glibc":
+        allocator = ctypes.CDLL(None)
+        for option, size in MALLOC_OPTIONS.items():
+            allocator.mallopt(option, size)
+
+
+@contextmanager
+def _steps_need_no_workers() -> Iterator[None]:
+    """Lightning advises more loader workers; steps are numbers, not files, and there is nothing for a worker to do."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+        warnings.filterwarnings("ignore", message=".*your dataloader is not resumable.*")  # nor anything to resume: a step is a pure function of its number
+        warnings.filterwarnings("ignore", message=".*LeafSpec.*")  # inside Lightning 2.6
+        yield
 
 
 def _require_same_model(checkpoint: Path, settings: TrainSettings) -> None:

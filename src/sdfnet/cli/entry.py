@@ -12,9 +12,10 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, ValueType
 from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings
 from sdfnet.errors import ConfigurationError, SdfnetError
@@ -75,15 +76,21 @@ def _main(name: str) -> None:
 def check_overrides(name: str, overrides: list[str]) -> None:
     """Compose once before Hydra does, so that a mistake can be answered with the nearest name. Raises ConfigurationError."""
     try:
-        parsed = OverridesParser.create().parse_overrides(overrides)
-        first_of_sweeps = [
-            f"{override.input_line.split('=', 1)[0]}={next(override.sweep_string_iterator())}" if override.is_sweep_override() else str(override.input_line)
-            for override in parsed
-        ]
+        first_of_sweeps = [line for override in OverridesParser.create().parse_overrides(overrides) for line in _first_of_sweep(override)]
         with hydra.initialize_config_dir(str(shipped("conf").resolve()), version_base="1.3"):
             hydra.compose(name, first_of_sweeps)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigurationError(_explained(error)) from error
+
+
+def _first_of_sweep(override: Override) -> list[str]:
+    """An override with the first of its values; none for a glob or an interval, which only Hydra can turn into values."""
+    line = str(override.input_line)
+    if not override.is_sweep_override():
+        return [line]
+    if not override.is_discrete_sweep() or override.value_type is ValueType.GLOB_CHOICE_SWEEP:
+        return []
+    return [f"{line.split('=', 1)[0]}={next(override.sweep_string_iterator())}"]
 
 
 def _explained(error: Exception) -> str:
@@ -93,7 +100,7 @@ def _explained(error: Exception) -> str:
     if cause is not error and str(cause).splitlines()[0] not in message:
         message += "\n" + str(cause).splitlines()[0]
     parent, key = getattr(cause, "parent_node", None), getattr(cause, "key", None)
-    if isinstance(parent, DictConfig) and isinstance(key, str):
+    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and isinstance(parent, DictConfig) and isinstance(key, str):
         known = [str(one) for one in parent]
         nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
         message += f"\nDid you mean '{nearest[0]}'? " if nearest else "\n"

@@ -39,6 +39,9 @@ class BatchSettings:
     def __post_init__(self) -> None:
         if self.frames_per_step < 1 or self.stride < 1:
             raise ConfigurationError(f"batch.frames_per_step and stride must be at least 1, found {self.frames_per_step} and {self.stride}")
+        for name in ("points_per_step", "steps_per_epoch", "validation_points"):
+            if getattr(self, name) is not None and getattr(self, name) < 1:
+                raise ConfigurationError(f"batch.{name} must be at least 1, found {getattr(self, name)}")
         if not 0 <= self.near_share <= 1:
             raise ConfigurationError(f"batch.near_share must lie in [0, 1], found {self.near_share}")
         if self.points_per_step is None and self.near_share > 0:
@@ -152,8 +155,9 @@ class ShapeFamily(LightningDataModule):
     def _keep_own(self, held_out: np.ndarray) -> None:
         kept = [row[~held_out[row]] for row in self.samples.kept]
         smallest = min(len(row) for row in kept)
+        surplus = np.random.default_rng([self.seed, 5])  # rows are in Morton order: to cut their ends would thin one corner of the box
         self._tensors |= {
-            "kept": torch.from_numpy(np.stack([row[:smallest] for row in kept])),
+            "kept": torch.from_numpy(np.stack([np.delete(row, surplus.choice(len(row), len(row) - smallest, replace=False)) for row in kept])),
             "box_points": torch.from_numpy(self.samples.points),
             "frame_distances": torch.from_numpy(self.samples.distances),
         }

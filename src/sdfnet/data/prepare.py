@@ -26,6 +26,7 @@ from sdfnet.data.store import (
     read_mesh_provenance,
     read_provenance,
     read_trajectory,
+    remove_unfinished,
     write_distances,
     write_mesh,
     write_trajectory,
@@ -95,6 +96,7 @@ class _Stages:
             if path.is_file():
                 logger.info("%s: already there, %s", what, path.name)
                 return
+            remove_unfinished(path)
             task = self._bars.add_task(what, total=None)
             make(lambda done, total: self._bars.update(task, completed=done, total=total))
             self._bars.update(task, completed=1, total=1)
@@ -163,12 +165,11 @@ def deforming_distances(
     surface = SurfaceDistance(Surface(vertices[0], faces), device)
     queries = torch.from_numpy(points).to(device)
     distances = np.empty((len(vertices), len(points)), dtype=np.float32)
-    bound = None
+    found = surface.signed_distance(queries)
     for frame, moved in enumerate(vertices):
         if frame > 0:
             surface.deform(moved)
-            bound = found.abs() + float(np.linalg.norm(moved - vertices[frame - 1], axis=1).max())
-        found = surface.signed_distance(queries, bound)
+            found = surface.signed_distance(queries, found.abs() + float(np.linalg.norm(moved - vertices[frame - 1], axis=1).max()))
         distances[frame] = found.cpu().numpy()
         if after_frame is not None:
             after_frame(frame + 1)

@@ -5,8 +5,10 @@ versions, seconds) as attributes. Files are written beside their place and moved
 """
 
 import importlib.metadata
+import inspect
 import json
 import os
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
@@ -42,9 +44,13 @@ class DistanceSamples:
 
 
 def described(settings: Any) -> Any:
-    """Settings as plain JSON values, the class of every dataclass included, for hashing and provenance."""
+    """Settings as plain JSON values, the class of every dataclass included, for hashing and provenance.
+
+    A class from elsewhere (an effect of a plugin) is described by its code too, so that what was made with other code is not taken for its own.
+    """
     if is_dataclass(settings) and not isinstance(settings, type):
-        return {"kind": type(settings).__name__} | {entry.name: described(getattr(settings, entry.name)) for entry in fields(settings)}
+        kind = type(settings)
+        return {"kind": kind.__name__} | _foreign_code(kind) | {entry.name: described(getattr(settings, entry.name)) for entry in fields(settings)}
     if isinstance(settings, Mapping):
         return {str(key): described(value) for key, value in settings.items()}
     if isinstance(settings, list | tuple):
@@ -71,26 +77,34 @@ def written_whole(path: Path) -> Iterator[Path]:
     try:
         yield unfinished
         unfinished.replace(path)
+    except OSError as error:
+        raise StoreError(f"'{path}' could not be written: {error}; free some space or choose another folder") from error
     finally:
         unfinished.unlink(missing_ok=True)
 
 
+def remove_unfinished(path: Path) -> None:
+    """Delete what a killed run left of `path` and of the files beside it. Only for who holds its lock, or a run at work loses its file."""
+    for unfinished in path.parent.glob(f".*-{path.stem}.*"):
+        unfinished.unlink()
+
+
 def write_mesh(path: Path, mesh: TetMesh, provenance: Mapping[str, Any]) -> None:
     """Write the tet mesh as .vtu (exact, what sdfnet reads again), beside it as Medit .mesh, and its provenance as .json."""
-    with written_whole(path.with_suffix(".json")) as unfinished:
-        unfinished.write_text(json.dumps({**provenance, "versions": versions()}, indent=2))
     contents = meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)])
-    for target in (path.with_suffix(".mesh"), path):
-        with written_whole(target) as unfinished:
-            contents.write(unfinished)
+    with written_whole(path) as exact, written_whole(path.with_suffix(".mesh")) as medit, written_whole(path.with_suffix(".json")) as record:
+        record.write_text(json.dumps({**provenance, "versions": versions()}, indent=2))
+        contents.write(medit)
+        contents.write(exact)
 
 
 def read_mesh(path: Path) -> TetMesh:
     """Read a .vtu or .mesh of tets. Raises StoreError when it is not one."""
+    read = meshio.medit.read if path.suffix == ".mesh" else meshio.vtu.read  # meshio.read ends the program where these raise
     try:
-        contents = meshio.read(path)
+        contents = read(path)
         return TetMesh(np.asarray(contents.points, dtype=np.float64), np.asarray(contents.cells_dict["tetra"], dtype=np.int64))
-    except (meshio.ReadError, ElementTree.ParseError, KeyError, ValueError, OSError, GeometryError) as error:
+    except (meshio.ReadError, zlib.error, AssertionError, LookupError, ValueError, OSError, GeometryError) as error:
         raise StoreError(f"'{path}' is not a whole tet mesh ({error}); delete it and it is made again") from error
 
 
@@ -104,14 +118,13 @@ def read_mesh_provenance(path: Path) -> dict[str, Any]:
 
 def write_trajectory(path: Path, trajectory: Trajectory, provenance: Mapping[str, Any]) -> None:
     """Write a trajectory as HDF5 with an .xdmf beside it that ParaView opens as an animation."""
-    with _new_file(path, "trajectory", provenance) as file:
+    with _new_file(path, "trajectory", provenance) as file, written_whole(path.with_suffix(".xdmf")) as unfinished:
         _put(file, "nodes", trajectory.mesh.nodes, "m")
         _put(file, "tets", trajectory.mesh.tets, "node index")
         _put(file, "times", trajectory.times, "s")
         _put(file, "displacements", trajectory.displacements, "m")
         file.attrs["time_step_s"] = trajectory.time_step
         file.attrs["report"] = json.dumps(trajectory.report)
-    with written_whole(path.with_suffix(".xdmf")) as unfinished:
         _xdmf(path.name, trajectory).write(unfinished, xml_declaration=True, encoding="utf-8")
 
 
@@ -149,12 +162,9 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 @contextmanager
 def _new_file(path: Path, kind: str, provenance: Mapping[str, Any]) -> Iterator[h5py.File]:
-    try:
-        with written_whole(path) as unfinished, h5py.File(unfinished, "w") as file:
-            file.attrs.update({"format": "sdfnet", "kind": kind, "version": FORMAT_VERSION, "provenance": json.dumps({**provenance, "versions": versions()})})
-            yield file
-    except OSError as error:
-        raise StoreError(f"'{path}' could not be written: {error}; free some space or choose another data_folder") from error
+    with written_whole(path) as unfinished, h5py.File(unfinished, "w") as file:
+        file.attrs.update({"format": "sdfnet", "kind": kind, "version": FORMAT_VERSION, "provenance": json.dumps({**provenance, "versions": versions()})})
+        yield file
 
 
 @contextmanager
@@ -173,6 +183,15 @@ def _known_file(path: Path, kind: str | None) -> Iterator[h5py.File]:
         raise StoreError(f"no file at '{path}'; run prepare.py first") from error
     except (OSError, KeyError) as error:
         raise StoreError(f"'{path}' is truncated or not an HDF5 file of sdfnet ({error}); {cure}") from error
+
+
+def _foreign_code(kind: type) -> dict[str, str]:
+    if kind.__module__.startswith("sdfnet."):
+        return {}
+    try:
+        return {"code": sha256(inspect.getsource(kind).encode()).hexdigest()[:12]}
+    except (OSError, TypeError):  # typed at a prompt
+        return {}
 
 
 def _put(file: h5py.File, name: str, values: Float64[np.ndarray, "..."] | np.ndarray, unit: str) -> None:

@@ -67,8 +67,8 @@ class Evaluation:
             unseen = {frame: errors[frame] for frame in unseen_frames if frame in errors}
             if unseen:
                 summary |= {f"unseen_{prefix}{name}": value for name, value in aggregate(unseen).items()}
-        for errors in (self.field_errors, self.volume_errors):
-            summary |= {name: value for name, value in aggregate(errors).items() if not name.startswith(("frames", "failed"))}
+        for fields in (aggregate(self.field_errors), aggregate(self.volume_errors)):
+            summary |= {name: value for name, value in fields.items() if name not in ("frames", "failed_frames")}
         for name in ("eikonal_mean", "eikonal_p99"):
             summary[name] = float(np.mean([getattr(found, name) for found in self.eikonal_errors.values()]))
         summary["skill"] = 1 - summary["chamfer_l1_mm_mean"] / summary["knn1_chamfer_l1_mm_mean"]

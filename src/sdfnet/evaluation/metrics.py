@@ -73,7 +73,7 @@ def surface_errors(
     """
     onto_true = SurfaceDistance(true) if true_distance is None else true_distance
     accuracy, accuracy_cosine = _distances_and_cosines(predicted, onto_true, samples, seed)
-    completeness, completeness_cosine = _distances_and_cosines(true, SurfaceDistance(predicted), samples, seed)
+    completeness, completeness_cosine = _distances_and_cosines(true, SurfaceDistance(predicted, is_closed=False), samples, seed)
     both, cosines = np.concatenate([accuracy, completeness]), np.concatenate([accuracy_cosine, completeness_cosine])
     components, genus, is_watertight = topology(predicted)
     return SurfaceErrors(

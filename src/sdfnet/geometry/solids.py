@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from sdfnet.errors import GeometryError
 from sdfnet.geometry.bunny import bunny_path, place
 from sdfnet.geometry.surface import load_surface, require_closed
 from sdfnet.geometry.tetmesh import TetMesh
@@ -45,7 +46,7 @@ class ClosedSurface(MeshedGeometry):
     edge_length: float = 0.05  # wanted edge as a fraction of the bounding box diagonal
     envelope: float = 1e-3  # how far the filled surface may leave the input, same fraction
     stop_energy: float = 50.0  # fTetWild stops improving at this energy; 10 is better shaped and twice as slow
-    simplify: bool = False  # let fTetWild coarsen the surface first
+    simplify: bool = True  # let fTetWild simplify the surface first: fewer slivers, so twice the time step
     repair: bool = False  # accept an open surface and let fTetWild close it
 
     def source(self) -> Path:
@@ -96,7 +97,9 @@ class Sphere(MeshedGeometry):
 
 
 def kuhn_grid(cells: tuple[int, int, int]) -> tuple[Float64[np.ndarray, "nodes 3"], Int64[np.ndarray, "tets 4"]]:
-    """Nodes and tets of the unit cube cut into cells[0] x cells[1] x cells[2] cells of six tets each."""
+    """Nodes and tets of the unit cube cut into cells[0] x cells[1] x cells[2] cells of six tets each. Raises GeometryError without a cell."""
+    if min(cells) < 1:
+        raise GeometryError(f"geometry.cells must be at least 1 along every axis, found {cells}")
     counts = np.asarray(cells) + 1
     axes = [np.linspace(0.0, 1.0, count) for count in counts]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

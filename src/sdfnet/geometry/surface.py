@@ -73,12 +73,16 @@ def _read_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        raise GeometryError(f"'{path}' could not be read as USD: {error}") from error
+        raise GeometryError(f"'{path}' could not be read as USD; export it again") from error
     meshes = [UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
     if len(meshes) != 1:
         raise GeometryError(f"'{path}' must hold exactly one mesh, found {len(meshes)}")
-    counts = np.asarray(meshes[0].GetFaceVertexCountsAttr().Get())
+    points, counts, indices = meshes[0].GetPointsAttr().Get(), meshes[0].GetFaceVertexCountsAttr().Get(), meshes[0].GetFaceVertexIndicesAttr().Get()
+    if not (points and counts and indices):
+        raise GeometryError(f"'{path}' holds no triangles")
+    counts = np.asarray(counts)
     if (counts != 3).any():
         raise GeometryError(f"'{path}' must hold triangles, found faces of {sorted(set(counts.tolist()))} corners; triangulate it first")
-    vertices = np.asarray(meshes[0].GetPointsAttr().Get(), dtype=np.float64)
-    return vertices, np.asarray(meshes[0].GetFaceVertexIndicesAttr().Get(), dtype=np.int64).reshape(-1, 3)
+    to_world = np.asarray(UsdGeom.XformCache().GetLocalToWorldTransform(meshes[0].GetPrim()))  # acts on row vectors
+    vertices = np.asarray(points, dtype=np.float64) @ to_world[:3, :3] + to_world[3, :3]
+    return vertices, np.asarray(indices, dtype=np.int64).reshape(-1, 3)

@@ -1,5 +1,8 @@
 """fTetWild behind one function: a closed surface in, a tet mesh out (paper section 1)."""
 
+from contextlib import chdir
+from tempfile import TemporaryDirectory
+
 import numpy as np
 import pytetwild
 
@@ -8,7 +11,7 @@ from sdfnet.geometry.surface import Surface
 from sdfnet.geometry.tetmesh import TetMesh
 
 
-def tetrahedralise(surface: Surface, edge_length: float = 0.05, envelope: float = 1e-3, stop_energy: float = 50.0, simplify: bool = False) -> TetMesh:
+def tetrahedralise(surface: Surface, edge_length: float = 0.05, envelope: float = 1e-3, stop_energy: float = 50.0, simplify: bool = True) -> TetMesh:
     """Fill a surface with tets.
 
     `edge_length` and `envelope` (how far the result may leave the input) are fractions of the bounding box diagonal;
@@ -16,15 +19,16 @@ def tetrahedralise(surface: Surface, edge_length: float = 0.05, envelope: float 
     threads and does not repeat itself to the bit; name what you build from the result by `TetMesh.digest`.
     Raises GeometryError when fTetWild leaves nothing.
     """
-    nodes, tets = pytetwild.tetrahedralize(
-        surface.vertices,
-        surface.faces.astype(np.int32),
-        edge_length_fac=edge_length,
-        epsilon=envelope,
-        stop_energy=stop_energy,
-        simplify=simplify,
-        quiet=True,
-    )
+    with TemporaryDirectory() as scratch, chdir(scratch):  # fTetWild leaves a file in the working folder
+        nodes, tets = pytetwild.tetrahedralize(
+            surface.vertices,
+            surface.faces.astype(np.int32),
+            edge_length_fac=edge_length,
+            epsilon=envelope,
+            stop_energy=stop_energy,
+            simplify=simplify,
+            quiet=True,
+        )
     if len(tets) == 0:
         raise GeometryError("fTetWild left no tets; the surface encloses nothing at this edge length, lower geometry.edge_length")
     # fTetWild winds its tets the other way round.

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
-from sdfnet.models.encodings import encoding_of
+from sdfnet.models.encodings import FourierFeatures, IdentityEncoding, encoding_of
 from sdfnet.models.mlp import ACTIVATION_MODULES, mlp
 from sdfnet.models.settings import ModelSettings
 
@@ -19,6 +19,7 @@ class SdfCalculator(nn.Module):
 
     centre: Tensor
     half_sides: Tensor
+    encoding: IdentityEncoding | FourierFeatures
 
     def __init__(self, settings: ModelSettings, lower: Float32[Tensor, "3"], upper: Float32[Tensor, "3"]) -> None:
         super().__init__()
@@ -49,5 +50,5 @@ class SdfCalculator(nn.Module):
     @property
     def parameter_count(self) -> int:
         """Weights, biases and the fixed frequencies: what must be stored to answer a query, the latents apart."""
-        fixed = self.encoding.frequencies.numel() if hasattr(self.encoding, "frequencies") else 0
+        fixed = self.encoding.frequencies.numel() if isinstance(self.encoding, FourierFeatures) else 0
         return sum(weights.numel() for weights in self.parameters()) + fixed

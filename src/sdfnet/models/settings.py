@@ -24,8 +24,8 @@ class ModelSettings:
     encoder_depth: int | None = None  # none: the same as depth
 
     def __post_init__(self) -> None:
-        for name in ("width", "depth", "latent", "frequencies"):
-            if getattr(self, name) < 1:
+        for name in ("width", "depth", "latent", "frequencies", "encoder_width", "encoder_depth"):
+            if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise ConfigurationError(f"model.{name} must be at least 1, found {getattr(self, name)}")
         for name, allowed in (("encoding", ENCODINGS), ("activation", ACTIVATIONS)):
             if getattr(self, name) not in allowed:

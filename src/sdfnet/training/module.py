@@ -1,5 +1,7 @@
 """The LightningModule: it wires networks, cycle, schedules and losses together, and holds no mathematics of its own."""
 
+import math
+import statistics
 import time
 from dataclasses import asdict
 from typing import Any
@@ -7,9 +9,9 @@ from typing import Any
 import torch
 from jaxtyping import Float, Float32
 from lightning import LightningModule
+from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 from torch.optim import Adam, Optimizer
-from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from sdfnet.data.datamodule import Batch, ShapeFamily
 from sdfnet.errors import TrainingError
@@ -17,11 +19,14 @@ from sdfnet.models.networks import RECORD, Networks
 from sdfnet.models.settings import ModelSettings
 from sdfnet.training.cycle import PhaseAt, phase_at
 from sdfnet.training.losses import alpha_latent, latent_loss, one_minus_cosine, sdf_loss
-from sdfnet.training.schedules import cosine, take_reading
+from sdfnet.training.schedules import decay, take_reading
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 
 ADAM_BETAS = (0.9, 0.99)
+SOAP_BETAS = (0.95, 0.99)
+SOAP_REFRESH = 10  # steps between new eigenbases; more often was slower and no better
 FRAMES_PER_VALIDATION_CHUNK = 4
+EPOCH_LOSSES = "sdfnet_epoch_losses"  # the entry of a checkpoint that holds the losses of the epoch under way
 
 
 class SdfTraining(LightningModule):
@@ -38,8 +43,9 @@ class SdfTraining(LightningModule):
         super().__init__()
         self.automatic_optimization = False
         self._family, self._model, self._training, self._optimizer = family, model, training, optimizer
+        self._entered: PhaseAt | None = None
         self._fixed_latents: Tensor | None = None
-        self._epoch_losses: list[Tensor] = []
+        self._epoch_losses: list[float] = []
         self._validation_losses: Tensor | None = None
 
     def configure_model(self) -> None:
@@ -58,6 +64,17 @@ class SdfTraining(LightningModule):
             "distances": files.distances.name,
             "train_frames": self._family.train_frames.tolist(),
         }
+        checkpoint[EPOCH_LOSSES] = self._epoch_losses
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take up the losses of the epoch that the run stopped in. Raises TrainingError where Lightning cannot go on exactly."""
+        last_step = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]
+        if last_step["is_last_batch"] and last_step["current"]["completed"] < last_step["current"]["processed"]:
+            raise TrainingError(
+                f"the checkpoint was written between the last step of epoch {checkpoint['epoch']} and its end, where Lightning loses count and leaves out the "
+                "validation; resume from one that TimedCheckpoint wrote, or one of an epoch's end"
+            )
+        self._epoch_losses = list(checkpoint[EPOCH_LOSSES])
 
     def configure_optimizers(self) -> Any:
         """One optimiser a network; with plateaus, one scheduler a plateau and network: four objects for the paper's two."""
@@ -72,6 +89,7 @@ class SdfTraining(LightningModule):
     def on_train_start(self) -> None:
         """Move the data to the device that training runs on, once."""
         self._family.to(self.device)
+        self._entered = None
         self._began = time.perf_counter()
 
     def on_train_end(self) -> None:
@@ -83,23 +101,36 @@ class SdfTraining(LightningModule):
         """Which networks train in this epoch."""
         return phase_at(self._training.cycle, self.current_epoch)
 
-    def on_train_epoch_start(self) -> None:
-        """Freeze the network whose turn it is not; compute the latents once when only the decoder trains."""
+    def on_train_batch_start(self, step: int, step_index: int) -> None:
+        """Where a phase begins, freeze the network whose turn it is not; compute the latents once when only the decoder trains.
+
+        Asked before every step, because Lightning begins no epoch when it resumes in the middle of one.
+        """
+        if step_index == 0:
+            self._epoch_losses = []
         phase = self.phase
-        self.networks.encoder.requires_grad_(phase.trains_encoder)
-        self.networks.decoder.requires_grad_(phase.trains_decoder)
+        if phase == self._entered:
+            return
+        self._entered = phase
+        for network, trains in ((self.networks.encoder, phase.trains_encoder), (self.networks.decoder, phase.trains_decoder)):
+            network.requires_grad_(trains)
+            network.zero_grad(set_to_none=True)
         self._fixed_latents = None if phase.trains_encoder else self.networks.latents(self._family.shapes)
-        self._epoch_losses = []
 
     def training_step(self, step: int, step_index: int) -> None:
         """One step of whichever networks train. Raises TrainingError when the loss is not finite."""
         batch = self._family.step(self.current_epoch, step_index)
         phase = self.phase
-        if self._optimizer.schedule == "cosine":
-            self._set_cosine_rates(step_index)
-        latents = self.networks.encoder(batch.shapes) if self._fixed_latents is None else self._fixed_latents[batch.frames]
-        loss = self._loss(batch, latents)
-        encoder_optimizer, decoder_optimizer = self.optimizers()
+        if self._optimizer.schedule != "plateau":
+            self._set_decayed_rates(step_index)
+        loss = self._loss(batch, self._latents(batch))
+        value = float(loss)
+        if not math.isfinite(value):
+            raise TrainingError(
+                f"epoch {self.current_epoch}, step {step_index}: the loss must be finite, found {value}; the first layer with a bad weight is "
+                f"{self._first_bad_layer()}; lower optimizer.encoder_rate and decoder_rate, or look for bad distances in frames {batch.frames.tolist()}"
+            )
+        encoder_optimizer, decoder_optimizer = self._both_optimizers()
         active = [one for one, trains in ((encoder_optimizer, phase.trains_encoder), (decoder_optimizer, phase.trains_decoder)) if trains]
         for optimizer in active:
             optimizer.zero_grad(set_to_none=True)
@@ -107,21 +138,15 @@ class SdfTraining(LightningModule):
         with torch.autocast(self.device.type, enabled=False):  # Lightning calls this under bf16; optimisers compute in float32
             for optimizer in active:
                 optimizer.step()
-        self._epoch_losses.append(loss.detach())
-        self._read_plateaus("batch", loss.detach())
+        self._epoch_losses.append(value)
+        self._read_plateaus("batch", value)
 
     def on_train_epoch_end(self) -> None:
-        """Log the epoch: losses as in Figure 4, rates, phase, latent cosine. Raises TrainingError for a loss that is not finite."""
-        losses = torch.stack(self._epoch_losses).float().cpu()
-        if not losses.isfinite().all():
-            raise TrainingError(
-                f"epoch {self.current_epoch}: the loss of step {int((~losses.isfinite()).nonzero()[0])} is not finite; "
-                f"the first layer with a bad weight is {self._first_bad_layer()}; lower optimizer.encoder_rate and decoder_rate"
-            )
-        encoder_optimizer, decoder_optimizer = self.optimizers()
+        """Log the epoch: losses as in Figure 4, rates, phase, latent cosine."""
+        encoder_optimizer, decoder_optimizer = self._both_optimizers()
         readings = {
-            "loss/train_mean": losses.mean(),
-            "loss/train_max": losses.max(),
+            "loss/train_mean": statistics.fmean(self._epoch_losses),
+            "loss/train_max": max(self._epoch_losses),
             "rate/encoder": encoder_optimizer.param_groups[0]["lr"],
             "rate/decoder": decoder_optimizer.param_groups[0]["lr"],
             "phase/encoder_trains": float(self.phase.trains_encoder),
@@ -129,7 +154,7 @@ class SdfTraining(LightningModule):
         }
         if self._validation_losses is not None:
             readings |= {"loss/validation_mean": self._validation_losses.mean(), "loss/validation_max": self._validation_losses.max()}
-            latents = self.networks.latents(self._family.shapes)
+            latents = self.networks.latents(self._family.shapes) if self._fixed_latents is None else self._fixed_latents
             readings["latent/cosine_first_to_last"] = 1 - one_minus_cosine(latents[:1], latents[-1:])[0]
             self._validation_losses = None
         for logger in self.loggers:
@@ -138,7 +163,7 @@ class SdfTraining(LightningModule):
     def validation_step(self, step: int, step_index: int) -> None:
         """The SDF loss of every training frame at the held-out points."""
         batch = self._family.validation
-        latents = self.networks.encoder(batch.shapes)
+        latents = self._latents(batch)
         encoded = self.networks.decoder.encoded(batch.points)
         self._validation_losses = torch.cat([
             torch.stack([self._sdf_loss(row[None], true[None]) for row, true in zip(self.networks.decoder.from_encoded(some, encoded), trues, strict=True)])
@@ -147,9 +172,12 @@ class SdfTraining(LightningModule):
 
     def on_validation_epoch_end(self) -> None:
         """The second plateau listens to the mean over the frames (paper section 4, Scheduler 2)."""
-        if self._validation_losses is not None:
+        if self._validation_losses is not None and not self.trainer.sanity_checking:
             self.log("validation_loss", self._validation_losses.mean(), prog_bar=True, logger=False)
-            self._read_plateaus("validation", self._validation_losses.mean())
+            self._read_plateaus("validation", float(self._validation_losses.mean()))
+
+    def _latents(self, batch: Batch) -> Float[Tensor, "frames latent"]:
+        return self.networks.encoder(batch.shapes) if self._fixed_latents is None else self._fixed_latents[batch.frames]
 
     def _loss(self, batch: Batch, latents: Float[Tensor, "frames latent"]) -> Float32[Tensor, ""]:
         loss = self._sdf_loss(self.networks.decoder(latents, batch.points), batch.distances)
@@ -165,27 +193,30 @@ class SdfTraining(LightningModule):
         focus = None if self._training.focus is None else self._training.focus * diagonal
         return sdf_loss(predicted, true, self._training.power, focus, unit)
 
-    def _set_cosine_rates(self, step_index: int) -> None:
+    def _set_decayed_rates(self, step_index: int) -> None:
         steps = self._family.steps_per_epoch
         done = (self.current_epoch * steps + step_index) / (self._training.epochs * steps)
-        factor = cosine(done, self._optimizer.warmup)
-        for optimizer, rate in zip(self.optimizers(), (self._optimizer.encoder_rate, self._optimizer.decoder_rate), strict=True):
+        factor = decay(self._optimizer.schedule, done, self._optimizer.warmup)
+        for optimizer, rate in zip(self._both_optimizers(), (self._optimizer.encoder_rate, self._optimizer.decoder_rate), strict=True):
             for group in optimizer.param_groups:
                 group["lr"] = rate * factor
 
-    def _read_plateaus(self, watches: str, loss: Tensor) -> None:
+    def _read_plateaus(self, watches: str, loss: float) -> None:
         if self._optimizer.schedule != "plateau":
             return
-        schedulers = self.lr_schedulers()
+        schedulers = [configured.scheduler for configured in self.trainer.lr_scheduler_configs]
         for index, plateau in enumerate(self._optimizer.plateaus):
             if plateau.watches == watches and plateau.is_active(self.current_epoch):
                 for scheduler in schedulers[2 * index : 2 * index + 2]:
-                    assert isinstance(scheduler, ReduceLROnPlateau)
-                    take_reading(scheduler, float(loss), f"{watches} loss of epoch {self.current_epoch}")
+                    take_reading(scheduler, loss, f"{watches} loss of epoch {self.current_epoch}")
+
+    def _both_optimizers(self) -> tuple[LightningOptimizer, LightningOptimizer]:
+        encoder_optimizer, decoder_optimizer = self.optimizers()  # type: ignore[attr-defined]
+        return encoder_optimizer, decoder_optimizer
 
     def _first_bad_layer(self) -> str:
         bad = [name for name, weights in self.networks.named_parameters() if not weights.isfinite().all()]
-        return bad[0] if bad else "none: the batch itself is not finite"
+        return bad[0] if bad else "none"
 
 
 def _decoder_optimizer(settings: OptimizerSettings, decoder: torch.nn.Module) -> Optimizer:
@@ -193,4 +224,4 @@ def _decoder_optimizer(settings: OptimizerSettings, decoder: torch.nn.Module) ->
         return Adam(decoder.parameters(), lr=settings.decoder_rate, betas=ADAM_BETAS)
     from pytorch_optimizer import SOAP
 
-    return SOAP(decoder.parameters(), lr=settings.decoder_rate)
+    return SOAP(decoder.parameters(), lr=settings.decoder_rate, betas=SOAP_BETAS, weight_decay=0.0, precondition_frequency=SOAP_REFRESH)

@@ -14,17 +14,19 @@ class OptimizerSettings:
     name: str = "adam"  # of the SDF Calculator: adam or soap (Vyas et al. 2024); the Mesh Encoder always has Adam
     encoder_rate: float = 0.0075
     decoder_rate: float = 0.005
-    schedule: str = "plateau"  # plateau: the paper's two; cosine: one cosine over the whole run
-    warmup: float = 0.0  # fraction of a cosine run in which the rates rise
+    schedule: str = "plateau"  # plateau: the paper's two; linear or cosine: one decay to zero over the whole run
+    warmup: float = 0.0  # fraction of a linear or cosine run in which the rates rise
     plateaus: tuple[Plateau, ...] = PAPER_PLATEAUS
 
     def __post_init__(self) -> None:
-        for name, allowed in (("name", ("adam", "soap")), ("schedule", ("plateau", "cosine"))):
+        for name, allowed in (("name", ("adam", "soap")), ("schedule", ("plateau", "linear", "cosine"))):
             if getattr(self, name) not in allowed:
                 raise ConfigurationError(f"optimizer.{name} must be one of {', '.join(allowed)}; found '{getattr(self, name)}'")
         for name in ("encoder_rate", "decoder_rate"):
             if not getattr(self, name) > 0:
                 raise ConfigurationError(f"optimizer.{name} must be positive, found {getattr(self, name)}")
+        if not 0 <= self.warmup < 1:
+            raise ConfigurationError(f"optimizer.warmup must lie in [0, 1), found {self.warmup}")
 
 
 @dataclass(frozen=True)

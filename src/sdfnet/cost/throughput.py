@@ -1,0 +1,111 @@
+"""Training throughput of sdfnet beside a plain loop of the same network, in one run."""
+
+import statistics
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import cycle
+from typing import Any
+
+import torch
+from lightning import Callback, LightningModule, Trainer
+from torch import Tensor, nn
+from torch.optim import Adam
+from torch.utils.data import DataLoader, Dataset
+
+from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.models.mlp import mlp
+from sdfnet.models.networks import Networks
+from sdfnet.training.losses import sdf_loss
+
+ROUNDS = 5  # each a stretch of sdfnet's training, then plain steps; the first round warms both up and is not counted
+
+
+@dataclass(frozen=True)
+class Throughput:
+    """Pairs of shape and point trained on in a second: medians over interleaved rounds."""
+
+    sdfnet: float
+    plain: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times faster sdfnet trains."""
+        return self.sdfnet / self.plain
+
+    def lines(self) -> list[str]:
+        """The two numbers and their ratio, for the screen."""
+        return [
+            f"plain loop (DataLoader, whole shapes, eager, float32, concatenated input){self.plain / 1e6:9.3f} million pairs/s",
+            f"sdfnet as train.py runs it, Lightning included{self.sdfnet / 1e6:36.3f} million pairs/s",
+            f"ratio {self.ratio:.1f}",
+        ]
+
+
+class InterleavedRounds(Callback):
+    """Times the epochs of a training, and after each runs a step of the plain loop; give the trainer ROUNDS epochs."""
+
+    def __init__(self, family: ShapeFamily) -> None:
+        self._family = family
+        self._sdfnet: list[float] = []
+        self._plain: list[float] = []
+        self._plain_steps: Iterator[float] | None = None
+
+    def on_train_epoch_start(self, trainer: Trainer, module: LightningModule) -> None:
+        """Start the clock."""
+        self._began = time.perf_counter()
+
+    def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
+        """Read the clock, then take one plain step."""
+        batch = self._family.step(0, 0)
+        self._sdfnet.append(batch.distances.numel() * self._family.steps_per_epoch / (time.perf_counter() - self._began))
+        if self._plain_steps is None:
+            self._plain_steps = plain_training(self._family, module.networks)  # type: ignore[arg-type]
+        self._plain.append(next(self._plain_steps))
+
+    def result(self) -> Throughput:
+        """Medians without the warm-up round."""
+        return Throughput(statistics.median(self._sdfnet[1:]), statistics.median(self._plain[1:]))
+
+
+def plain_training(family: ShapeFamily, networks: Networks) -> Iterator[float]:
+    """Steps of the loop that one writes first, each giving its pairs per second: one shape a batch with all the points that it kept."""
+    plain = _PlainNetworks(family, networks)
+    optimizer = Adam(plain.parameters(), lr=1e-3)
+    for shape, points, distances in cycle(DataLoader(_WholeShapes(family), batch_size=1, shuffle=True)):
+        began = time.perf_counter()
+        optimizer.zero_grad()
+        with torch.autocast("cpu", enabled=False):
+            sdf_loss(plain(shape, points[0]), distances).backward()
+        optimizer.step()
+        yield distances.numel() / (time.perf_counter() - began)
+
+
+class _WholeShapes(Dataset[tuple[Tensor, Tensor, Tensor]]):
+    def __init__(self, family: ShapeFamily) -> None:
+        self._family = family
+
+    def __len__(self) -> int:
+        return len(self._family.shapes)
+
+    def __getitem__(self, frame: int) -> tuple[Tensor, Tensor, Tensor]:
+        samples = self._family.samples
+        kept = samples.kept[frame]
+        return self._family.shapes[frame], torch.from_numpy(samples.points[kept]), torch.from_numpy(samples.distances[frame][kept])
+
+
+class _PlainNetworks(nn.Module):
+    """The same layers, the latent repeated for every point and concatenated with its encoding."""
+
+    def __init__(self, family: ShapeFamily, networks: Networks) -> None:
+        super().__init__()
+        settings = networks.settings
+        self.encoder = type(networks.encoder)(family.shapes, settings.encoder_widths, settings.latent)
+        self.encoding: Any = networks.decoder.encoding
+        self.centre, self.half_sides = networks.decoder.centre, networks.decoder.half_sides
+        self.layers = mlp([settings.latent + self.encoding.features, *settings.decoder_widths, 1], settings.activation)
+
+    def forward(self, shape: Tensor, points: Tensor) -> Tensor:
+        latent = self.encoder(shape).expand(len(points), -1)
+        encoded = self.encoding((points - self.centre) / self.half_sides)
+        return self.layers(torch.cat([latent, encoded], dim=1)).T

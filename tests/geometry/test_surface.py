@@ -1,0 +1,155 @@
+"""What can be read, and what is refused with which words."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from pxr import Gf, Usd, UsdGeom
+
+from sdfnet.errors import GeometryError
+from sdfnet.geometry.surface import Surface, load_surface, require_closed
+
+
+def _ball() -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(subdivisions=1, radius=0.1)
+
+
+def _surface(mesh: trimesh.Trimesh) -> Surface:
+    return Surface(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64))
+
+
+def _write_usd(path: Path, vertices: np.ndarray, faces: np.ndarray, parent: Gf.Matrix4d | None = None) -> None:
+    stage = Usd.Stage.CreateNew(str(path))
+    group = UsdGeom.Xform.Define(stage, "/group")
+    if parent is not None:
+        group.AddTransformOp().Set(parent)
+    mesh = UsdGeom.Mesh.Define(stage, "/group/solid")
+    mesh.CreatePointsAttr([tuple(map(float, vertex)) for vertex in vertices])
+    mesh.CreateFaceVertexCountsAttr([faces.shape[1]] * len(faces))
+    mesh.CreateFaceVertexIndicesAttr(faces.ravel().tolist())
+    stage.GetRootLayer().Save()
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl", "off", "usda", "usdc", "usd"])
+def test_every_format_gives_the_same_closed_surface(kind: str) -> None:
+    ball, path = _ball(), Path(f"ball.{kind}")
+    if kind.startswith("usd"):
+        _write_usd(path, ball.vertices, ball.faces)
+    else:
+        ball.export(path)
+    surface = load_surface(path)
+    require_closed(surface, "ball")
+    assert surface.vertices.shape == (42, 3)  # an .stl holds 240, merged on reading
+    assert surface.faces.shape == (80, 3)
+    # float32 and eight printed digits of a 0.1 m ball
+    np.testing.assert_allclose(np.sort(surface.vertices[:, 0]), np.sort(ball.vertices[:, 0]), atol=1e-8)
+    assert surface.as_trimesh().volume == pytest.approx(ball.volume, rel=1e-6)
+    assert surface.diagonal == pytest.approx(np.linalg.norm(np.ptp(ball.vertices, axis=0)), rel=1e-6)
+
+
+def test_a_usd_mesh_is_read_where_its_parents_put_it() -> None:
+    ball = _ball()
+    parent = Gf.Matrix4d().SetScale(2.0) * Gf.Matrix4d().SetTranslate(Gf.Vec3d(1.0, 2.0, 3.0))
+    _write_usd(Path("moved.usda"), ball.vertices, ball.faces, parent)
+    found = load_surface(Path("moved.usda")).vertices
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(2 * ball.vertices + [1.0, 2.0, 3.0], axis=0), atol=1e-6)
+
+
+def test_quads_of_an_obj_become_triangles() -> None:
+    Path("quad.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    assert load_surface(Path("quad.obj")).faces.shape == (2, 3)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_repeated_vertices_are_merged_whatever_the_scale(scale: float) -> None:
+    ball = _ball()
+    triangles = scale * ball.vertices[ball.faces].reshape(-1, 3)
+    trimesh.Trimesh(triangles, np.arange(len(triangles)).reshape(-1, 3), process=False).export("soup.ply")
+    surface = load_surface(Path("soup.ply"))
+    assert len(surface.vertices) == 42
+    require_closed(surface, "soup")
+
+
+def test_a_missing_file_names_the_path_and_the_formats() -> None:
+    with pytest.raises(GeometryError, match=r"no surface file at 'nowhere\.obj'; give an existing \.obj, \.ply, \.stl or \.usd"):
+        load_surface(Path("nowhere.obj"))
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl", "off", "usd", "usda", "usdc", "txt"])
+@pytest.mark.parametrize("content", [b"", b"these are words, no mesh\n" * 20, bytes(range(256)) * 2], ids=["empty", "words", "bytes"])
+def test_a_foreign_file_is_refused_by_name(kind: str, content: bytes) -> None:
+    path = Path(f"foreign.{kind}")
+    path.write_bytes(content)
+    with pytest.raises(GeometryError, match=rf"'foreign\.{kind}' (holds no triangles|could not be read)"):
+        load_surface(path)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl", "off"])
+def test_a_file_cut_in_half_is_refused_by_name(kind: str) -> None:
+    path = Path(f"cut.{kind}")
+    _ball().export(path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(GeometryError, match=rf"'cut\.{kind}' (holds no triangles|could not be read)"):
+        load_surface(path)
+
+
+def test_points_without_faces_are_refused() -> None:
+    trimesh.PointCloud(_ball().vertices).export("points.ply")
+    with pytest.raises(GeometryError, match="'points.ply' holds no triangles"):
+        load_surface(Path("points.ply"))
+
+
+def test_vertices_that_are_not_finite_are_counted() -> None:
+    Path("nan.obj").write_text("v 0 0 0\nv nan 0 0\nv 0 inf 0\nf 1 2 3\n")
+    with pytest.raises(GeometryError, match="'nan.obj' has 2 vertices that are not finite"):
+        load_surface(Path("nan.obj"))
+
+
+def test_a_usd_without_exactly_one_triangle_mesh_says_what_it_holds() -> None:
+    quad = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float64)
+    _write_usd(Path("quad.usda"), quad, np.array([[0, 1, 2, 3]]))
+    with pytest.raises(GeometryError, match=r"must hold triangles, found faces of \[4\] corners; triangulate it first"):
+        load_surface(Path("quad.usda"))
+    empty = Usd.Stage.CreateNew("none.usda")
+    empty.GetRootLayer().Save()
+    with pytest.raises(GeometryError, match="must hold exactly one mesh, found 0"):
+        load_surface(Path("none.usda"))
+    stage = Usd.Stage.CreateNew("bare.usda")
+    UsdGeom.Mesh.Define(stage, "/bare")
+    stage.GetRootLayer().Save()
+    with pytest.raises(GeometryError, match="'bare.usda' holds no triangles"):
+        load_surface(Path("bare.usda"))
+
+
+def test_an_open_surface_is_refused_with_its_open_edges_and_the_cure() -> None:
+    ball = _ball()
+    ball.update_faces(np.arange(len(ball.faces)) > 0)
+    with pytest.raises(GeometryError, match=r"^'ear' must be a closed surface, found 3 open edges and 0 edges .*geometry\.repair=true"):
+        require_closed(_surface(ball), "'ear'")
+
+
+def test_an_edge_of_more_than_two_faces_is_refused_and_counted() -> None:
+    ball = _ball()
+    # A fin: a flat pair of triangles, back to back, on one edge.
+    vertices = np.vstack([ball.vertices, [0.2, 0.2, 0.2]])
+    first, second = ball.faces[0, :2]
+    faces = np.vstack([ball.faces, [[first, second, 42], [second, first, 42]]])
+    with pytest.raises(GeometryError, match="found 0 open edges and 1 edges shared by more than two faces"):
+        require_closed(Surface(vertices, faces.astype(np.int64)), "fin")
+
+
+@pytest.mark.parametrize("flipped", [1, 80], ids=["one face", "all faces"])
+def test_inward_winding_is_refused_with_the_volume(flipped: int) -> None:
+    surface = _surface(_ball())
+    faces = surface.faces.copy()
+    faces[:flipped] = faces[:flipped, ::-1]
+    volume = trimesh.Trimesh(surface.vertices, faces, process=False).volume
+    with pytest.raises(GeometryError, match=re.escape(f"outward winding throughout, found an enclosed volume of {volume:.3g} m^3; flip or unify")):
+        require_closed(Surface(surface.vertices, faces), "ball")
+
+
+def test_two_closed_parts_are_a_closed_surface() -> None:
+    two = trimesh.util.concatenate([_ball(), _ball().apply_translation([1.0, 0.0, 0.0])])
+    require_closed(_surface(two), "two balls")

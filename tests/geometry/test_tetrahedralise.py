@@ -1,0 +1,49 @@
+"""fTetWild behind its one function, on a small ball."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from sdfnet.errors import GeometryError
+from sdfnet.geometry.distance import signed_distance
+from sdfnet.geometry.surface import Surface, require_closed
+from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.geometry.tetrahedralise import tetrahedralise
+
+ENVELOPE = 1e-3
+
+
+@pytest.fixture(scope="module")
+def ball() -> Surface:
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    return Surface(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64))
+
+
+@pytest.fixture(scope="module")
+def filled(ball: Surface) -> TetMesh:
+    return tetrahedralise(ball, edge_length=0.2, envelope=ENVELOPE)
+
+
+def test_the_tets_fill_the_surface(ball: Surface, filled: TetMesh) -> None:
+    assert filled.volumes.min() > 0
+    assert filled.volumes.sum() == pytest.approx(ball.as_trimesh().volume, rel=3 * ENVELOPE * ball.diagonal / 0.1)  # dV/V = 3 dr/r
+    require_closed(filled.surface(), "filled")
+
+
+def test_the_boundary_stays_inside_the_envelope(ball: Surface, filled: TetMesh) -> None:
+    distances = signed_distance(torch.from_numpy(filled.surface().vertices).float(), ball).abs()
+    assert float(distances.max()) <= ENVELOPE * ball.diagonal
+
+
+def test_a_shorter_edge_gives_more_tets() -> None:
+    box = trimesh.creation.box()
+    cube = Surface(np.asarray(box.vertices, dtype=np.float64), np.asarray(box.faces, dtype=np.int64))
+    coarse, fine = (len(tetrahedralise(cube, edge_length=edge).tets) for edge in (0.4, 0.15))
+    assert fine > 4 * coarse  # (0.4 / 0.15)^3 = 19 at best
+
+
+def test_a_surface_that_encloses_nothing_is_refused() -> None:
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    with pytest.raises(GeometryError, match="fTetWild left no tets"):
+        tetrahedralise(Surface(flat, np.array([[0, 1, 2], [0, 2, 3]])), edge_length=0.5)
