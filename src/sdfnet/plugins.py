@@ -10,7 +10,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -84,7 +84,7 @@ def frozen(config: DictConfig) -> Any:
     missing = OmegaConf.missing_keys(config)
     if missing:
         raise ConfigurationError(f"these settings have no value yet: {', '.join(sorted(missing))}; give each on the command line")
-    return _with_tuples(OmegaConf.to_object(config))
+    return _object(config)
 
 
 def _loaded_file(path: Path) -> ModuleType:
@@ -130,11 +130,12 @@ def _make_writable(node: DictConfig | ListConfig) -> None:
             _make_writable(child)
 
 
-def _with_tuples(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{entry.name: _with_tuples(getattr(value, entry.name)) for entry in fields(value)})
-    if isinstance(value, dict):
-        return {key: _with_tuples(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return tuple(_with_tuples(item) for item in value)
-    return value
+def _object(node: Any) -> Any:
+    """The dataclass that a node stands for, made once and with tuples; OmegaConf.to_object would make it with lists."""
+    if isinstance(node, DictConfig):
+        values = {str(key): _object(node[key]) for key in node}
+        kind = OmegaConf.get_type(node)
+        return kind(**values) if kind is not None and is_dataclass(kind) else values
+    if isinstance(node, ListConfig):
+        return tuple(_object(item) for item in node)
+    return node

@@ -15,10 +15,10 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.geometry.distance import signed_distance
 from sdfnet.geometry.solids import Sphere
 from sdfnet.physics.effects.pressure_poke import PressurePoke
-from sdfnet.scene import Dataset, Recording, Sampling, Scene
+from sdfnet.scene import Dataset, Effect, Recording, Sampling, Scene
 
 FRAMES = 7
-EFFECTS = {side: PressurePoke(center=(x, 0.0, 0.0), radius=0.03, pressure=3000.0) for side, x in (("left", -0.05), ("right", 0.05))}
+EFFECTS: dict[str, Effect] = {side: PressurePoke(center=(x, 0.0, 0.0), radius=0.03, pressure=3000.0) for side, x in (("left", -0.05), ("right", 0.05))}
 BALL = Dataset(Scene(Sphere(cells=4), EFFECTS, recording=Recording(duration=0.002, frames=FRAMES)), Sampling(count=3000, near_surface_count=1500))
 PAPER = BatchSettings(validation_points=200)
 SHARED = BatchSettings(frames_per_step=3, stride=3, points_per_step=200, near_share=0.5, steps_per_epoch=5, ordered_epochs=0, validation_points=200)
@@ -178,7 +178,7 @@ def test_pairs_are_each_frame_with_the_next_in_order() -> None:
 
 def test_a_stride_takes_every_frame_once_a_pass_and_another_order_in_the_next() -> None:
     steps = [frames_of_step(9, 0, step, 3, 3, 0, 0).tolist() for step in range(6)]
-    first, second = sum(steps[:3], []), sum(steps[3:], [])
+    first, second = ([frame for step in half for frame in step] for half in (steps[:3], steps[3:]))
     assert sorted(first) == sorted(second) == list(range(9))
     assert first != second
 

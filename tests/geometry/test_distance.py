@@ -86,7 +86,7 @@ def test_far_points_are_right_to_float32(deforming: SurfaceDistance, bunny: Surf
     points = (np.random.default_rng(2).normal(size=(200, 3)) * 1e3 * bunny.diagonal).astype(np.float32)
     found = deforming.signed_distance(torch.from_numpy(points)).numpy()
     exact = _oracle(points, frames[0], bunny.faces, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)
-    np.testing.assert_allclose(found, exact, rtol=4 * np.finfo(np.float32).eps)
+    np.testing.assert_allclose(found, exact, rtol=4 * float(np.finfo(np.float32).eps))
 
 
 def test_a_surface_far_from_the_origin_keeps_its_precision(bunny: Surface) -> None:
@@ -103,6 +103,17 @@ def test_a_thin_plate_has_an_inside() -> None:
     heights = torch.tensor([-2.0, -0.75, -0.25, 0.0, 0.25, 0.75, 2.0]) * thickness
     points = torch.stack([torch.full_like(heights, 0.1), torch.full_like(heights, -0.23), heights], dim=1)
     torch.testing.assert_close(signed_distance(points, plate), heights.abs() - thickness / 2, atol=2e-7, rtol=0)  # float32 steps at 1 m: 1e-7
+
+
+def test_about_sharp_edges_and_tips_the_sign_is_right() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0.05, 0], [0.9, -0.2, 0.1], [0.5, 0, 0.02]])  # a splinter: a face's own normal is wrong beyond its edges and tips
+    hull = trimesh.convex.convex_hull(corners)
+    splinter = Surface(np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64))
+    points = np.random.default_rng(4).uniform(-0.2, 1.2, (20_000, 3)).astype(np.float32)
+    beyond = np.einsum("pfx,fx->pf", points[:, None] - hull.triangles_center, hull.face_normals).max(axis=1)  # of a convex solid: inside if behind all planes
+    found = signed_distance(torch.from_numpy(points), splinter).numpy()
+    clear = np.abs(beyond) > AGREEMENT
+    np.testing.assert_array_equal(found[clear] < 0, beyond[clear] < 0)
 
 
 def test_negative_is_inside() -> None:

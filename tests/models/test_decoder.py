@@ -23,7 +23,7 @@ def plain_distances(decoder: SdfCalculator, settings: ModelSettings, latents: Te
     with torch.no_grad():
         first.weight.copy_(torch.cat([decoder.from_latent.weight, decoder.from_point.weight], dim=1))
         first.bias.copy_(decoder.from_latent.bias)
-    for own, given in zip(network[2:], decoder.layers, strict=True):
+    for own, given in zip(list(network)[2:], decoder.layers, strict=True):
         own.load_state_dict(given.state_dict())
     encoded = decoder.encoding((points - (LOWER + UPPER) / 2) / ((UPPER - LOWER) / 2))
     rows = [network(torch.cat([latent.expand(len(points), -1), encoded], dim=1))[:, 0] for latent in latents]
@@ -81,7 +81,7 @@ def test_the_papers_decoder_has_its_layers() -> None:
 
 def test_a_model_ten_times_as_large_answers_ten_times_as_far() -> None:
     decoder, large = SdfCalculator(SMALL, LOWER, UPPER), SdfCalculator(SMALL, 10 * LOWER, 10 * UPPER)
-    large.load_state_dict({name: values for name, values in decoder.state_dict().items() if name not in ("centre", "half_sides")}, strict=False)
+    large.load_state_dict({name: values for name, values in decoder.state_dict().items() if name not in ("centre", "half_side")}, strict=False)
     latents, points = torch.randn(2, 32), points_in_box(20)
     # scaled points round differently in float32, and the highest frequencies turn 1e-7 into 1e-6 of the output
     torch.testing.assert_close(large(latents, 10 * points), 10 * decoder(latents, points), rtol=1e-4, atol=2e-5)

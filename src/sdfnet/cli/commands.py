@@ -125,6 +125,7 @@ def _throughput(settings: CostSettings, output: Path) -> Throughput:
         precision=settings.trainer.precision,  # type: ignore[arg-type]
         max_epochs=ROUNDS,
         limit_val_batches=0,
+        log_every_n_steps=1,
         callbacks=[rounds],
         logger=False,
         enable_checkpointing=False,
@@ -171,6 +172,7 @@ def _trainer(settings: TrainSettings, output: Path, board: TensorBoardLogger) ->
         precision=chosen.precision,  # type: ignore[arg-type]
         max_epochs=settings.training.epochs,
         check_val_every_n_epoch=settings.training.validate_every,
+        log_every_n_steps=1,
         num_sanity_val_steps=0,
         callbacks=callbacks,
         enable_checkpointing=False,
@@ -192,7 +194,6 @@ def keep_freed_memory() -> None:
 @contextmanager
 def _steps_need_no_workers() -> Iterator[None]:
     """Lightning advises more loader workers; steps are numbers, not files, and there is nothing for a worker to do."""
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*does not have many workers.*")
         warnings.filterwarnings("ignore", message=".*your dataloader is not resumable.*")  # nor anything to resume: a step is a pure function of its number

@@ -57,7 +57,8 @@ def _main(name: str) -> None:
     def job(config: DictConfig) -> float | None:
         from sdfnet.cli import commands  # late: composing and its errors do not wait for PyTorch
 
-        logging.getLogger("skfem").setLevel(logging.WARNING)
+        for chatty in ("skfem", "lightning.pytorch"):
+            logging.getLogger(chatty).setLevel(logging.WARNING)
         command: Command = getattr(commands, name)
         try:
             return command(frozen(config), Path(HydraConfig.get().runtime.output_dir))

@@ -102,10 +102,10 @@ class _PlainNetworks(nn.Module):
         settings = networks.settings
         self.encoder = type(networks.encoder)(family.shapes, settings.encoder_widths, settings.latent)
         self.encoding: Any = networks.decoder.encoding
-        self.centre, self.half_sides = networks.decoder.centre, networks.decoder.half_sides
+        self.centre, self.half_side = networks.decoder.centre, networks.decoder.half_side
         self.layers = mlp([settings.latent + self.encoding.features, *settings.decoder_widths, 1], settings.activation)
 
     def forward(self, shape: Tensor, points: Tensor) -> Tensor:
         latent = self.encoder(shape).expand(len(points), -1)
-        encoded = self.encoding((points - self.centre) / self.half_sides)
+        encoded = self.encoding((points - self.centre) / self.half_side)
         return self.layers(torch.cat([latent, encoded], dim=1)).T

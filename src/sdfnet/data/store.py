@@ -4,10 +4,12 @@ A trajectory or a set of distances is one HDF5 file with units, a format version
 versions, seconds) as attributes. Files are written beside their place and moved there whole, so a reader never sees half of one.
 """
 
+import errno
 import importlib.metadata
 import inspect
 import json
 import os
+import shutil
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -118,7 +120,8 @@ def read_mesh_provenance(path: Path) -> dict[str, Any]:
 
 def write_trajectory(path: Path, trajectory: Trajectory, provenance: Mapping[str, Any]) -> None:
     """Write a trajectory as HDF5 with an .xdmf beside it that ParaView opens as an animation."""
-    with _new_file(path, "trajectory", provenance) as file, written_whole(path.with_suffix(".xdmf")) as unfinished:
+    size = trajectory.displacements.nbytes + trajectory.mesh.nodes.nbytes + trajectory.mesh.tets.nbytes
+    with _new_file(path, "trajectory", provenance, size) as file, written_whole(path.with_suffix(".xdmf")) as unfinished:
         _put(file, "nodes", trajectory.mesh.nodes, "m")
         _put(file, "tets", trajectory.mesh.tets, "node index")
         _put(file, "times", trajectory.times, "s")
@@ -137,7 +140,8 @@ def read_trajectory(path: Path) -> Trajectory:
 
 def write_distances(path: Path, samples: DistanceSamples, provenance: Mapping[str, Any]) -> None:
     """Write a set of distances as HDF5."""
-    with _new_file(path, "distances", provenance) as file:
+    size = samples.distances.nbytes + samples.near_distances.nbytes + samples.points.nbytes + samples.near_points.nbytes + samples.kept.nbytes
+    with _new_file(path, "distances", provenance, size) as file:
         _put(file, "box", np.stack([samples.box.lower, samples.box.upper]), "m")
         _put(file, "points", samples.points, "m")
         _put(file, "distances", samples.distances, "m, negative inside")
@@ -161,10 +165,18 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def _new_file(path: Path, kind: str, provenance: Mapping[str, Any]) -> Iterator[h5py.File]:
-    with written_whole(path) as unfinished, h5py.File(unfinished, "w") as file:
-        file.attrs.update({"format": "sdfnet", "kind": kind, "version": FORMAT_VERSION, "provenance": json.dumps({**provenance, "versions": versions()})})
-        yield file
+def _new_file(path: Path, kind: str, provenance: Mapping[str, Any], size: int) -> Iterator[h5py.File]:
+    with written_whole(path) as unfinished:
+        free = shutil.disk_usage(path.parent).free
+        if free < size:  # asked before, for HDF5 cannot close a file on a full disk
+            raise OSError(errno.ENOSPC, f"{size / 1e6:.3g} MB are needed, {free / 1e6:.3g} MB are free")
+        with h5py.File(unfinished, "w") as file:
+            yield _labelled(file, kind, provenance)
+
+
+def _labelled(file: h5py.File, kind: str, provenance: Mapping[str, Any]) -> h5py.File:
+    file.attrs.update({"format": "sdfnet", "kind": kind, "version": FORMAT_VERSION, "provenance": json.dumps({**provenance, "versions": versions()})})
+    return file
 
 
 @contextmanager

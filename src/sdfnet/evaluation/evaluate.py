@@ -55,12 +55,12 @@ class Evaluation:
     knn1_bytes_per_frame: int
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def summary(self, unseen_frames: list[int]) -> dict[str, float]:
+    def summary(self, unseen_frames: list[int]) -> dict[str, float | int]:
         """Every metric over the frames: the network's by its own name, the others with `knn1_` and `floor_` before it.
 
         Frames that were not trained on are summed up again with `unseen_` before the name.
         """
-        summary: dict[str, float] = {}
+        summary: dict[str, float | int] = {}
         for method, errors in self.surface_errors.items():
             prefix = "" if method == "network" else f"{method}_"
             summary |= {prefix + name: value for name, value in aggregate(errors).items()}

@@ -1,6 +1,5 @@
 """The SDF Calculator: a latent vector and a point in, the signed distance out (paper section 4, S(z_i, X) = d)."""
 
-import torch
 from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
@@ -8,23 +7,25 @@ from sdfnet.models.encodings import FourierFeatures, IdentityEncoding, encoding_
 from sdfnet.models.mlp import ACTIVATION_MODULES, mlp
 from sdfnet.models.settings import ModelSettings
 
+OUTPUT_UNIT = 0.1  # of the mean half side: 1 cm on the bunny
+
 
 class SdfCalculator(nn.Module):
     """An MLP on the concatenation of latent vector and encoded point, written without the concatenation.
 
     The first layer is W_x enc(x) + (W_z z + b): the point's part is computed once for all shapes that share the points,
-    the latent part once per shape. Points are in metres; inside, they are scaled by the box to [-1, 1] per axis, and the
-    output is scaled by the box's half diagonal.
+    the latent part once per shape. Points and distances are in metres; inside, points are counted from the box's centre
+    in mean half sides, and distances in a tenth of one, because near the surface they are small.
     """
 
     centre: Tensor
-    half_sides: Tensor
+    half_side: Tensor
     encoding: IdentityEncoding | FourierFeatures
 
     def __init__(self, settings: ModelSettings, lower: Float32[Tensor, "3"], upper: Float32[Tensor, "3"]) -> None:
         super().__init__()
         self.register_buffer("centre", (lower + upper) / 2)
-        self.register_buffer("half_sides", (upper - lower) / 2)
+        self.register_buffer("half_side", (upper - lower).mean() / 2)
         self.encoding = encoding_of(settings.encoding, settings.frequencies, settings.frequency_scale)
         first, *others = settings.decoder_widths
         self.from_point = nn.Linear(self.encoding.features, first, bias=False)
@@ -40,12 +41,12 @@ class SdfCalculator(nn.Module):
 
     def encoded(self, points: Float32[Tensor, "*batch 3"]) -> Float[Tensor, "*batch width"]:
         """The points' part of the first layer, W_x enc(x), the same for every shape."""
-        return self.from_point(self.encoding((points - self.centre) / self.half_sides))
+        return self.from_point(self.encoding((points - self.centre) / self.half_side))
 
     def from_encoded(self, latents: Float[Tensor, "frames latent"], encoded: Float[Tensor, "*batch width"]) -> Float32[Tensor, "frames points"]:
         """The rest of the network, from what `encoded` gives."""
         hidden = self.activation(encoded + self.from_latent(latents)[:, None, :])
-        return self.layers(hidden).squeeze(-1).float() * torch.linalg.vector_norm(self.half_sides)
+        return self.layers(hidden).squeeze(-1).float() * (OUTPUT_UNIT * self.half_side)
 
     @property
     def parameter_count(self) -> int:

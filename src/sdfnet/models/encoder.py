@@ -27,4 +27,5 @@ class MeshEncoder(nn.Module):
 
     def forward(self, shapes: Float32[Tensor, "frames vertices 3"]) -> Float[Tensor, "frames latent"]:
         """Latent vectors of shapes given by their vertices (m)."""
-        return self.layers(((shapes - self.mean_shape) / self.scale).flatten(1))
+        with torch.autocast(shapes.device.type, enabled=False):  # so wide an input loses more to bf16 than its speed is worth
+            return self.layers(((shapes - self.mean_shape) / self.scale).flatten(1))

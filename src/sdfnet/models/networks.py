@@ -1,6 +1,5 @@
 """Both networks together, as they are trained, saved and read back."""
 
-
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,7 @@ RECORD = "sdfnet"  # the entry of a checkpoint that says what it is of
 class Networks(nn.Module):
     """A Mesh Encoder and the SDF Calculator that understands its latents (paper section 4)."""
 
-    def __init__(
-        self, settings: ModelSettings, shapes: Float32[Tensor, "frames vertices 3"], lower: Float32[Tensor, "3"], upper: Float32[Tensor, "3"]
-    ) -> None:
+    def __init__(self, settings: ModelSettings, shapes: Float32[Tensor, "frames vertices 3"], lower: Float32[Tensor, "3"], upper: Float32[Tensor, "3"]) -> None:
         super().__init__()
         self.settings = settings
         self.encoder = MeshEncoder(shapes, settings.encoder_widths, settings.latent)
@@ -72,5 +69,3 @@ def load_networks(path: Path) -> Networks:
     except RuntimeError as error:
         raise TrainingError(f"'{path}' does not fit the model that it names: {error}") from error
     return networks
-
-

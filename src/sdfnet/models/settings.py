@@ -18,7 +18,7 @@ class ModelSettings:
     latent: int = 128  # length of the vector that stands for a shape
     encoding: str = "none"  # of the query point: none or fourier
     frequencies: int = 64  # of the Fourier features; each gives a sine and a cosine
-    frequency_scale: float = 1.2  # their standard deviation, in radians per half side of the box, over pi
+    frequency_scale: float = 2.0  # their standard deviation, in radians per mean half side of the box, over pi
     activation: str = "relu"  # relu, gelu, silu or sine
     encoder_width: int | None = None  # of the Mesh Encoder's hidden layers; none: the same as width
     encoder_depth: int | None = None  # none: the same as depth

@@ -80,7 +80,7 @@ class SdfTraining(LightningModule):
         """One optimiser a network; with plateaus, one scheduler a plateau and network: four objects for the paper's two."""
         settings = self._optimizer
         optimizers: list[Optimizer] = [
-            Adam(self.networks.encoder.parameters(), lr=settings.encoder_rate, betas=ADAM_BETAS),
+            Adam(self.networks.encoder.parameters(), lr=settings.encoder_rate, betas=ADAM_BETAS, fused=True),
             _decoder_optimizer(settings, self.networks.decoder),
         ]
         plateaus = settings.plateaus if settings.schedule == "plateau" else ()
@@ -124,7 +124,7 @@ class SdfTraining(LightningModule):
         if self._optimizer.schedule != "plateau":
             self._set_decayed_rates(step_index)
         loss = self._loss(batch, self._latents(batch))
-        value = float(loss)
+        value = float(loss.detach())
         if not math.isfinite(value):
             raise TrainingError(
                 f"epoch {self.current_epoch}, step {step_index}: the loss must be finite, found {value}; the first layer with a bad weight is "
@@ -165,10 +165,12 @@ class SdfTraining(LightningModule):
         batch = self._family.validation
         latents = self._latents(batch)
         encoded = self.networks.decoder.encoded(batch.points)
-        self._validation_losses = torch.cat([
-            torch.stack([self._sdf_loss(row[None], true[None]) for row, true in zip(self.networks.decoder.from_encoded(some, encoded), trues, strict=True)])
-            for some, trues in zip(latents.split(FRAMES_PER_VALIDATION_CHUNK), batch.distances.split(FRAMES_PER_VALIDATION_CHUNK), strict=True)
-        ])
+        self._validation_losses = torch.cat(
+            [
+                torch.stack([self._sdf_loss(row[None], true[None]) for row, true in zip(self.networks.decoder.from_encoded(some, encoded), trues, strict=True)])
+                for some, trues in zip(latents.split(FRAMES_PER_VALIDATION_CHUNK), batch.distances.split(FRAMES_PER_VALIDATION_CHUNK), strict=True)
+            ]
+        )
 
     def on_validation_epoch_end(self) -> None:
         """The second plateau listens to the mean over the frames (paper section 4, Scheduler 2)."""

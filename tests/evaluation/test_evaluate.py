@@ -1,0 +1,99 @@
+"""Evaluation and its report on a small ball whose distances are known."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from sdfnet.data.prepare import sample_distances
+from sdfnet.data.store import DistanceSamples
+from sdfnet.errors import ConfigurationError
+from sdfnet.evaluation.evaluate import Evaluation, EvaluationSettings, evaluate, measured_frames
+from sdfnet.evaluation.report import result_of, table_of, write_report
+from sdfnet.geometry.solids import Sphere
+from sdfnet.models.networks import Networks
+from sdfnet.models.settings import ModelSettings
+from sdfnet.physics.trajectory import Trajectory
+from sdfnet.scene import Sampling
+
+SETTINGS = EvaluationSettings(resolution=24, surface_samples=2_000, volume_samples=5_000, volume_frames=1, mesh_frames=(-1,))
+
+
+@pytest.fixture(scope="module")
+def trajectory() -> Trajectory:
+    """A ball that grows by a tenth over three frames."""
+    mesh = Sphere(radius=0.05, cells=6).tet_mesh()
+    growth = np.array([0.0, 0.05, 0.1])[:, None, None] * mesh.nodes
+    return Trajectory(mesh, np.array([0.0, 1.0, 2.0]), growth, 1.0, {})
+
+
+@pytest.fixture(scope="module")
+def samples(trajectory: Trajectory) -> DistanceSamples:
+    """Its distances, few but enough."""
+    return sample_distances(trajectory, Sampling(count=5_000, near_surface_count=2_000))
+
+
+def networks(trajectory: Trajectory, samples: DistanceSamples) -> Networks:
+    """Untrained networks."""
+    surface = torch.from_numpy(trajectory.mesh.nodes[trajectory.mesh.surface_nodes]).float()
+    lower, upper = (torch.from_numpy(corner).float() for corner in (samples.box.lower, samples.box.upper))
+    return Networks(ModelSettings(width=8, depth=1, latent=2), surface.expand(3, -1, -1), lower, upper)
+
+
+class _BallOfKnownRadius(torch.nn.Module):
+    """Stands in for the decoder: the exact distance of a ball whose radius is the latent."""
+
+    parameter_count = 1
+
+    def forward(self, latents: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+        return points.norm(dim=-1)[None] - latents[:, :1]
+
+
+@pytest.fixture(scope="module")
+def exact(trajectory: Trajectory, samples: DistanceSamples) -> Evaluation:
+    """The evaluation of a network that knows the answer."""
+    known = networks(trajectory, samples)
+    known.decoder = _BallOfKnownRadius()  # type: ignore[assignment]
+    known.latents = lambda shapes: shapes.norm(dim=-1).amax(dim=1, keepdim=True)  # type: ignore[method-assign]
+    return evaluate(known, trajectory, samples, SETTINGS)
+
+
+def test_a_network_that_knows_the_ball_is_as_good_as_the_floor_but_for_the_facets(exact: Evaluation) -> None:
+    summary = exact.summary([1])
+    # The true surface is a polyhedron of 6 cells across inside the sphere: its faces lie up to 1.5 mm, on average 0.8 mm, under it.
+    assert summary["chamfer_l1_mm_mean"] < summary["floor_chamfer_l1_mm_mean"] + 1.0
+    assert summary["failed_frames"] == 0
+    assert summary["unseen_frames"] == 1
+    assert summary["intersection_over_union_mean"] > 0.9
+    assert summary["eikonal_mean"] < 1e-4, "the gradient of a distance has length one"
+    assert summary["skill"] == pytest.approx(1 - summary["chamfer_l1_mm_mean"] / summary["knn1_chamfer_l1_mm_mean"])
+
+
+def test_a_network_without_a_surface_is_counted_as_failed(
+    trajectory: Trajectory, samples: DistanceSamples, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    blind = networks(trajectory, samples)
+    with torch.no_grad():
+        blind.decoder.layers[-1].bias.fill_(100.0)  # far outside everywhere
+    evaluation = evaluate(blind, trajectory, samples, SETTINGS)
+    result = result_of(evaluation, blind, trajectory, [0, 1, 2], {"train": 1.0}, {"seed": 0})
+    assert result["failed_frames"] == 3
+    assert result["chamfer_l1_mm_mean"] == math.inf
+    assert "counted as failed" in caplog.text
+    write_report(tmp_path, evaluation, result, trajectory)
+    written = json.loads((tmp_path / "result.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert written["chamfer_l1_mm_mean"] is None
+    assert table_of(result).row_count > 5
+
+
+def test_the_last_frame_is_always_measured() -> None:
+    assert measured_frames(11, 4) == [0, 4, 8, 10]
+    assert measured_frames(3, 1) == [0, 1, 2]
+
+
+def test_settings_that_measure_nothing_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"evaluation\.every"):
+        EvaluationSettings(every=0)
