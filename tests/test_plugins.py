@@ -293,3 +293,10 @@ def test_a_dataset_function_with_arguments_is_refused_where_it_is_marked() -> No
 
     with pytest.raises(ConfigurationError, match=r"a dataset function takes no arguments, found sized\(size: int\)"):
         dataset(sized)  # type: ignore[arg-type]
+
+
+def test_a_copy_of_a_plugin_is_the_same_plugin(tmp_path: Path) -> None:
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "sphere_squeeze.py").write_text((shipped("datasets") / "sphere_squeeze.py").read_text())
+    assert set(find_datasets([tmp_path / "one", tmp_path / "two"])) == {"sphere_squeeze"}

@@ -50,10 +50,11 @@ def find_datasets(folders: Iterable[Path] | None = None) -> dict[str, Dataset]:
     files define one name.
     """
     searched = [shipped("datasets"), Path("datasets")] if folders is None else list(folders)
-    files = {path.resolve() for folder in searched if folder.is_dir() for path in folder.glob("*.py")}
+    # By name and content: an installed sdfnet that runs inside a checkout sees the same files twice, and means them once.
+    files = {(path.name, path.read_bytes()): path.resolve() for folder in searched if folder.is_dir() for path in sorted(folder.glob("*.py"))}
     found: dict[str, Dataset] = {}
     origins: dict[str, Path] = {}
-    for module in [*(_loaded_file(path) for path in sorted(files)), *_entry_point_modules()]:
+    for module in [*(_loaded_file(path) for path in sorted(files.values())), *_entry_point_modules()]:
         origin = Path(str(module.__file__)).resolve()
         for name, function in vars(module).items():
             if getattr(function, MARK, False) and function.__module__ == module.__name__:

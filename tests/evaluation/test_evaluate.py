@@ -76,8 +76,7 @@ def test_a_network_without_a_surface_is_counted_as_failed(
     trajectory: Trajectory, samples: DistanceSamples, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     blind = networks(trajectory, samples)
-    with torch.no_grad():
-        blind.decoder.layers[-1].bias.fill_(100.0)  # far outside everywhere
+    torch.nn.init.constant_(blind.decoder.get_parameter("layers.0.bias"), 100.0)  # far outside everywhere
     evaluation = evaluate(blind, trajectory, samples, SETTINGS)
     result = result_of(evaluation, blind, trajectory, [0, 1, 2], {"train": 1.0}, {"seed": 0})
     assert result["failed_frames"] == 3

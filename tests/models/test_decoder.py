@@ -1,12 +1,10 @@
 """The SDF Calculator: the split first layer is the plain network on the concatenated input."""
 
-import math
-
 import pytest
 import torch
 from torch import Tensor, nn
 
-from sdfnet.models.decoder import SdfCalculator
+from sdfnet.models.decoder import OUTPUT_UNIT, SdfCalculator
 from sdfnet.models.mlp import mlp
 from sdfnet.models.settings import ModelSettings
 
@@ -25,9 +23,10 @@ def plain_distances(decoder: SdfCalculator, settings: ModelSettings, latents: Te
         first.bias.copy_(decoder.from_latent.bias)
     for own, given in zip(list(network)[2:], decoder.layers, strict=True):
         own.load_state_dict(given.state_dict())
-    encoded = decoder.encoding((points - (LOWER + UPPER) / 2) / ((UPPER - LOWER) / 2))
+    half_side = (UPPER - LOWER).mean() / 2
+    encoded = decoder.encoding((points - (LOWER + UPPER) / 2) / half_side)
     rows = [network(torch.cat([latent.expand(len(points), -1), encoded], dim=1))[:, 0] for latent in latents]
-    return torch.stack(rows) * math.sqrt(float(((UPPER - LOWER) / 2).square().sum()))
+    return torch.stack(rows) * OUTPUT_UNIT * half_side
 
 
 def points_in_box(*count: int) -> Tensor:

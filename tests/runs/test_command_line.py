@@ -26,6 +26,7 @@ Command = Callable[..., Outcome]
 def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Command]:
     """Runs a command in this process, as its script does."""
     monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
+    monkeypatch.setattr("hydra._internal.utils.is_under_debugger", lambda: False)  # Hydra takes coverage's tracing for a debugger's
 
     def run(name: str, *arguments: str) -> Outcome:
         monkeypatch.setattr(sys, "argv", [f"{name}.py", *arguments])

@@ -68,21 +68,18 @@ def train(settings: TrainSettings, output: Path) -> float:
 
 
 def prepare(settings: PrepareSettings, output: Path) -> None:
-    """Make the data that are missing, and print what was made."""
-    folder = Path(settings.data_folder)
-    console = Console()
-    geometry = settings.dataset.scene.geometry
+    """Make the data that are missing, and print what was made; with plan_only make no more than the mesh."""
+    folder, scene = Path(settings.data_folder), settings.dataset.scene
+    files = None if settings.plan_only else prepare_files(settings.dataset, folder)
     mesh = prepare_mesh(settings.dataset, folder)
-    if isinstance(geometry, ClosedSurface) and geometry.path is None:
-        console.print(beside_table_1(mesh.nodes), highlight=False)
-    console.print(plan(settings.dataset.scene, mesh).describe(), highlight=False)
-    if settings.plan_only:
-        return
-    files = prepare_files(settings.dataset, folder)
-    report = read_trajectory(files.trajectory).report
-    console.print("\n".join(f"{name}: {value}" for name, value in report.items()), highlight=False)
-    for what, path in (("tet mesh", files.mesh), ("simulation", files.trajectory), ("signed distances", files.distances)):
-        console.print(f"{what}: {path} ({'made' if what in files.built else 'was there'}, {files.seconds[what]:.1f} s)", highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
+    if isinstance(scene.geometry, ClosedSurface) and scene.geometry.path is None:
+        console.print(beside_table_1(mesh.nodes))
+    console.print(plan(scene, mesh).describe())
+    if files is not None:
+        console.print("\n".join(f"{name}: {value}" for name, value in read_trajectory(files.trajectory).report.items()))
+        for what, path in (("tet mesh", files.mesh), ("simulation", files.trajectory), ("signed distances", files.distances)):
+            console.print(f"{what}: {path} ({'made' if what in files.built else 'was there'}, {files.seconds[what]:.1f} s)")
 
 
 def evaluate(settings: EvaluateSettings, output: Path) -> float:
@@ -97,22 +94,22 @@ def evaluate(settings: EvaluateSettings, output: Path) -> float:
 
 def cost(settings: CostSettings, output: Path) -> None:
     """Print and write what the time step, the mass and the way of training cost."""
-    console = Console()
+    console = Console(highlight=False, soft_wrap=True)
     findings: dict[str, Any] = {"settings": described(settings), "versions": versions(), "threads": torch.get_num_threads()}
     if settings.measure in ("all", "step"):
         scene = settings.dataset.scene
         mesh = prepare_mesh(settings.dataset, Path(settings.data_folder))
-        console.print("\n".join(["step limits", *plan(scene, mesh).limits.lines()]), highlight=False)
+        console.print("\n".join(["step limits", *plan(scene, mesh).limits.lines()]))
         study = time_step_study(scene, mesh, settings.duration)
-        console.print("\n".join(["", "time step: error against a tenth of the step, same mass", *study.lines()]), highlight=False)
+        console.print("\n".join(["", "time step: error against a tenth of the step, same mass", *study.lines()]))
         findings["step"] = described(study)
     if settings.measure in ("all", "throughput"):
         throughput = _throughput(settings, output)
-        console.print("\n".join(["", "training throughput, medians of interleaved rounds", *throughput.lines()]), highlight=False)
+        console.print("\n".join(["", "training throughput, medians of interleaved rounds", *throughput.lines()]))
         findings["throughput"] = described(throughput) | {"ratio": throughput.ratio}
     with written_whole(output / "cost.json") as unfinished:
         unfinished.write_text(json.dumps(findings, indent=2))
-    console.print(f"written to {output}", highlight=False)
+    console.print(f"written to {output}")
 
 
 def _throughput(settings: CostSettings, output: Path) -> Throughput:
@@ -156,9 +153,9 @@ def _measure(
     seconds = {**seconds, "evaluate": time.perf_counter() - began}
     result = result_of(evaluation, networks, trajectory, train_frames, seconds, run)
     write_report(output, evaluation, result, trajectory)
-    console = Console()
+    console = Console(highlight=False)
     console.print(table_of(result))
-    console.print(f"seconds: {', '.join(f'{what} {value:.0f}' for what, value in seconds.items())}\nwritten to {output}", highlight=False)
+    console.print(f"seconds: {', '.join(f'{what} {value:.0f}' for what, value in seconds.items())}\nwritten to {output}")
     return result, evaluation
 
 
