@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: train test check environment system
+.PHONY: train test check environment
 
 train: environment
 	$(BIN)/python train.py $(ARGS)

@@ -57,7 +57,7 @@ def find_datasets(folders: Iterable[Path] | None = None) -> dict[str, Dataset]:
     for module in [*(_loaded_file(path) for path in sorted(files.values())), *_entry_point_modules()]:
         origin = Path(str(module.__file__)).resolve()
         for name, function in vars(module).items():
-            if getattr(function, MARK, False) and function.__module__ == module.__name__:
+            if getattr(function, MARK, False) and f"{function.__module__}.".startswith(f"{module.__name__}."):
                 if origins.setdefault(name, origin) != origin:
                     raise ConfigurationError(f"two plugins define a dataset named '{name}': '{origins[name]}' and '{origin}'; rename one")
                 found[name] = _made_by(function, origin)

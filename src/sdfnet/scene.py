@@ -127,6 +127,8 @@ class Sampling:
             raise ConfigurationError(f"sampling counts must be positive, found count={self.count}, near_surface_count={self.near_surface_count}")
         if not 0 < self.kept_share < 1:
             raise ConfigurationError(f"sampling.kept_share must lie in (0, 1), found {self.kept_share}")
+        if min(self.weight_outside, self.weight_inside) <= 0 or self.z_floor < 0 or self.z_exponent < 0 or self.near_surface_spread <= 0:
+            raise ConfigurationError("sampling weights and near_surface_spread must be positive, z_exponent and z_floor not negative")
         if self.box_scale <= 1:
             raise ConfigurationError(f"sampling.box_scale must exceed 1, found {self.box_scale}")
 

@@ -8,17 +8,18 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
-from lightning import Trainer, seed_everything
+from lightning import LightningModule, Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.loggers import TensorBoardLogger
 from rich.console import Console
 from rich.progress import Progress
 
-from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings
+from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainerSettings, TrainSettings
 from sdfnet.cost.throughput import ROUNDS, InterleavedRounds, Throughput
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.prepare import prepare as prepare_files
@@ -48,6 +49,7 @@ def train(settings: TrainSettings, output: Path) -> float:
     keep_freed_memory()
     if settings.trainer.threads is not None:
         torch.set_num_threads(settings.trainer.threads)
+    settings.evaluation.require_frames(settings.dataset.scene.recording.frames)
     if settings.resume is not None:
         _require_same_model(Path(settings.resume), settings)
     seed_everything(settings.seed, verbose=False)
@@ -60,7 +62,14 @@ def train(settings: TrainSettings, output: Path) -> float:
     trainer.save_checkpoint(output / "checkpoints" / "last.ckpt")
     family.to(torch.device("cpu"))
     seconds = {**family.files.seconds, "prepare": sum(family.files.seconds.values()), "train": module.train_seconds}
-    run = {"configuration": key_of(settings), "seed": settings.seed, "split": settings.split, "settings": described(settings)}
+    # The same settings have the same hash wherever and however often they are run.
+    run = {
+        "configuration": key_of(replace(settings, resume=None, data_folder="", trainer=TrainerSettings())),
+        "device": str(trainer.strategy.root_device),
+        "seed": settings.seed,
+        "split": settings.split,
+        "settings": described(settings),
+    }
     frames = family.train_frames.tolist()
     result, evaluation = _measure(module.networks, family.trajectory, family.samples, frames, settings.evaluation, output, seconds, run)
     _write_board(board, module.networks, family, evaluation, result)
@@ -116,10 +125,10 @@ def _throughput(settings: CostSettings, output: Path) -> Throughput:
     keep_freed_memory()
     family = ShapeFamily(settings.dataset, Path(settings.data_folder), settings.batch)
     module = SdfTraining(family, settings.model, settings.training, settings.optimizer)
-    rounds = InterleavedRounds(family)
+    rounds = InterleavedRounds(family, settings.model)
     trainer = Trainer(
         accelerator="cpu",
-        precision=settings.trainer.precision,  # type: ignore[arg-type]
+        precision=settings.precision,  # type: ignore[arg-type]
         max_epochs=ROUNDS,
         limit_val_batches=0,
         log_every_n_steps=1,
@@ -162,7 +171,7 @@ def _measure(
 def _trainer(settings: TrainSettings, output: Path, board: TensorBoardLogger) -> Trainer:
     chosen = settings.trainer
     saved = TimedCheckpoint(output / "checkpoints" / "latest.ckpt", chosen.checkpoint_seconds)
-    callbacks: list[Callback] = [saved, RichProgressBar(refresh_rate=20)] if chosen.progress_bar else [saved]
+    callbacks: list[Callback] = [saved, _TrainingBar(refresh_rate=20)] if chosen.progress_bar else [saved]
     return Trainer(
         accelerator=chosen.accelerator,
         devices=1,
@@ -185,7 +194,17 @@ def keep_freed_memory() -> None:
     if platform.libc_ver()[0] == "glibc":
         allocator = ctypes.CDLL(None)
         for option, size in MALLOC_OPTIONS.items():
-            allocator.mallopt(option, size)
+            if not allocator.mallopt(option, size):  # an older glibc refuses so large a threshold; the others alone would only harm
+                return
+
+
+class _TrainingBar(RichProgressBar):
+    """Lightning's, without the name of the logger's folder cut to four letters."""
+
+    def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
+        metrics = super().get_metrics(trainer, pl_module)
+        metrics.pop("v_num", None)
+        return metrics
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+import torch
 from omegaconf import MISSING
 
 from sdfnet.data.datamodule import SPLITS, BatchSettings
@@ -21,6 +22,15 @@ class TrainerSettings:
     threads: int | None = None  # of PyTorch; none: all cores
     checkpoint_seconds: float = 60.0  # between checkpoints; one more is written at the end
     progress_bar: bool = True
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("accelerator", ("auto", "cpu", "cuda")), ("precision", ("bf16-mixed", "32-true"))):
+            if getattr(self, name) not in allowed:
+                raise ConfigurationError(f"trainer.{name} must be one of {', '.join(allowed)}; found '{getattr(self, name)}'")
+        if self.accelerator == "cuda" and not torch.cuda.is_available():
+            raise ConfigurationError("trainer.accelerator=cuda needs a CUDA device, found none; use auto or cpu")
+        if self.threads is not None and self.threads < 1:
+            raise ConfigurationError(f"trainer.threads must be at least 1, found {self.threads}")
 
 
 @dataclass(frozen=True)
@@ -71,7 +81,7 @@ class CostSettings:
     batch: BatchSettings = field(default_factory=BatchSettings)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     training: TrainingSettings = field(default_factory=TrainingSettings)
-    trainer: TrainerSettings = field(default_factory=TrainerSettings)
+    precision: str = "bf16-mixed"  # of the training that is timed: bf16-mixed or 32-true
     measure: str = "all"  # all, step or throughput
     duration: float | None = None  # s of the scene that the step study runs; none: all of it
     data_folder: str = "outputs/data"

@@ -1,10 +1,12 @@
 """Training throughput of sdfnet beside a plain loop of the same network, in one run."""
 
+import multiprocessing
 import statistics
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import cycle
+from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,12 +15,15 @@ from torch import Tensor, nn
 from torch.optim import Adam
 from torch.utils.data import DataLoader, Dataset
 
-from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.data.datamodule import BatchSettings, ShapeFamily
+from sdfnet.data.store import read_distances, read_trajectory
 from sdfnet.models.mlp import mlp
 from sdfnet.models.networks import Networks
+from sdfnet.models.settings import ModelSettings
 from sdfnet.training.losses import sdf_loss
 
 ROUNDS = 5  # each a stretch of sdfnet's training, then plain steps; the first round warms both up and is not counted
+PLAIN_STEPS = 5  # of the plain loop a round, of which the median is taken: its first ones still meet sdfnet's threads spinning down
 
 
 @dataclass(frozen=True)
@@ -43,13 +48,23 @@ class Throughput:
 
 
 class InterleavedRounds(Callback):
-    """Times the epochs of a training, and after each runs a step of the plain loop; give the trainer ROUNDS epochs."""
+    """Times the epochs of a training, and after each has the plain loop take PLAIN_STEPS; give the trainer ROUNDS epochs.
 
-    def __init__(self, family: ShapeFamily) -> None:
-        self._family = family
+    The plain loop waits in a process of its own, as it would run: the memory settings of sdfnet's training do not help it.
+    """
+
+    def __init__(self, family: ShapeFamily, model: ModelSettings) -> None:
+        self._family, self._model = family, model
         self._sdfnet: list[float] = []
         self._plain: list[float] = []
-        self._plain_steps: Iterator[float] | None = None
+
+    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
+        """Start the plain loop's process; it waits until it is asked for a step."""
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        files = self._family.files
+        self._process = context.Process(target=_answer_with_plain_steps, args=(theirs, files.trajectory, files.distances, self._model), daemon=True)
+        self._process.start()
 
     def on_train_epoch_start(self, trainer: Trainer, module: LightningModule) -> None:
         """Start the clock."""
@@ -59,26 +74,42 @@ class InterleavedRounds(Callback):
         """Read the clock, then take one plain step."""
         batch = self._family.step(0, 0)
         self._sdfnet.append(batch.distances.numel() * self._family.steps_per_epoch / (time.perf_counter() - self._began))
-        if self._plain_steps is None:
-            self._plain_steps = plain_training(self._family, module.networks)  # type: ignore[arg-type]
-        self._plain.append(next(self._plain_steps))
+        self._connection.send(True)
+        self._plain.append(self._connection.recv())
+
+    def on_train_end(self, trainer: Trainer, module: LightningModule) -> None:
+        """End the plain loop's process."""
+        self._connection.send(False)
+        self._process.join()
 
     def result(self) -> Throughput:
         """Medians without the warm-up round."""
         return Throughput(statistics.median(self._sdfnet[1:]), statistics.median(self._plain[1:]))
 
 
+def _answer_with_plain_steps(connection: Connection, trajectory: Path, distances: Path, model: ModelSettings) -> None:
+    family = ShapeFamily.of(read_trajectory(trajectory), read_distances(distances), BatchSettings())
+    box = family.samples.box
+    networks = Networks(model, family.shapes, torch.from_numpy(box.lower).float(), torch.from_numpy(box.upper).float())
+    steps = plain_training(family, networks)
+    while connection.recv():
+        connection.send(statistics.median(next(steps) for _ in range(PLAIN_STEPS)))
+
+
 def plain_training(family: ShapeFamily, networks: Networks) -> Iterator[float]:
     """Steps of the loop that one writes first, each giving its pairs per second: one shape a batch with all the points that it kept."""
     plain = _PlainNetworks(family, networks)
     optimizer = Adam(plain.parameters(), lr=1e-3)
-    for shape, points, distances in cycle(DataLoader(_WholeShapes(family), batch_size=1, shuffle=True)):
+    loader = DataLoader(_WholeShapes(family), batch_size=1, shuffle=True)
+    while True:
         began = time.perf_counter()
-        optimizer.zero_grad()
-        with torch.autocast("cpu", enabled=False):
-            sdf_loss(plain(shape, points[0]), distances).backward()
-        optimizer.step()
-        yield distances.numel() / (time.perf_counter() - began)
+        for shape, points, distances in loader:
+            optimizer.zero_grad()
+            with torch.autocast("cpu", enabled=False):
+                sdf_loss(plain(shape, points[0]), distances).backward()
+            optimizer.step()
+            yield distances.numel() / (time.perf_counter() - began)
+            began = time.perf_counter()
 
 
 class _WholeShapes(Dataset[tuple[Tensor, Tensor, Tensor]]):

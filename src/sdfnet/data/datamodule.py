@@ -64,15 +64,22 @@ class ShapeFamily(LightningDataModule):
     trajectory: Trajectory
     samples: DistanceSamples
     files: PreparedFiles
+    _tensors: dict[str, Tensor]
 
-    def __init__(self, dataset: Dataset, folder: Path, batch: BatchSettings, split: str = "all", seed: int = 0, prepare_on: str = "cpu") -> None:
+    def __init__(self, dataset: Dataset, folder: Path, batch: BatchSettings, split: str = "all", seed: int = 0) -> None:
         super().__init__()
-        self.dataset, self.folder, self.batch, self.seed, self._prepare_on = dataset, folder, batch, seed, prepare_on
-        self.train_frames = split_frames(dataset.scene.recording.frames, split)
-        if batch.frames_per_step > len(self.train_frames):
-            raise ConfigurationError(f"batch.frames_per_step is {batch.frames_per_step}, but the split '{split}' has {len(self.train_frames)} training frames")
-        if batch.near_share > 0 and dataset.sampling.near_surface_count <= batch.validation_points:
-            raise ConfigurationError("batch.near_share asks for points about the surface, but dataset.sampling.near_surface_count gives none to train on")
+        self._source: tuple[Dataset, Path] | None = (dataset, folder)
+        self._choose(dataset.scene.recording.frames, dataset.sampling.near_surface_count, batch, split, seed)
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, samples: DistanceSamples, batch: BatchSettings, split: str = "all", seed: int = 0) -> "ShapeFamily":
+        """The family of arrays at hand, in a notebook: nothing is prepared or read."""
+        family = cls.__new__(cls)
+        LightningDataModule.__init__(family)
+        family._source = None
+        family._choose(len(trajectory.times), len(samples.near_points), batch, split, seed)
+        family._lay_out(trajectory, samples)
+        return family
 
     @property
     def steps_per_epoch(self) -> int:
@@ -82,7 +89,8 @@ class ShapeFamily(LightningDataModule):
 
     def prepare_data(self) -> None:
         """Make the files that are missing (Lightning calls this once, on one process)."""
-        self.files = prepare(self.dataset, self.folder, self._prepare_on)
+        if self._source is not None:
+            self.files = prepare(*self._source)
 
     def setup(self, stage: str | None = None) -> None:
         """Read the files and lay the tensors out for training."""
@@ -90,12 +98,14 @@ class ShapeFamily(LightningDataModule):
             return
         if not hasattr(self, "files"):  # on every process but the first
             self.prepare_data()
-        self.trajectory = read_trajectory(self.files.trajectory)
-        self.samples = read_distances(self.files.distances)
-        mesh = self.trajectory.mesh
-        vertices = (mesh.nodes + self.trajectory.displacements)[:, mesh.surface_nodes]
-        self._tensors = {"shapes": torch.from_numpy(vertices.astype(np.float32))}
-        self._hold_out()
+        self._lay_out(read_trajectory(self.files.trajectory), read_distances(self.files.distances))
+
+    @property
+    def file_names(self) -> dict[str, str]:
+        """The prepared files that training reads, none for arrays at hand; a mesh that is made anew has other names."""
+        if self._source is None:
+            return {}
+        return {"trajectory": self.files.trajectory.name, "distances": self.files.distances.name}
 
     @property
     def shapes(self) -> Float32[Tensor, "frames vertices 3"]:
@@ -130,6 +140,19 @@ class ShapeFamily(LightningDataModule):
     def val_dataloader(self) -> DataLoader:
         """One validation batch, `validation`."""
         return DataLoader(range(1), batch_size=None)  # type: ignore[arg-type]
+
+    def _choose(self, frames: int, near_count: int, batch: BatchSettings, split: str, seed: int) -> None:
+        self.batch, self.seed = batch, seed
+        self.train_frames = split_frames(frames, split)
+        if batch.frames_per_step > len(self.train_frames):
+            raise ConfigurationError(f"batch.frames_per_step is {batch.frames_per_step}, but the split '{split}' has {len(self.train_frames)} training frames")
+        if batch.near_share > 0 and near_count == 0:
+            raise ConfigurationError("batch.near_share asks for points about the surface, but dataset.sampling.near_surface_count gives none to train on")
+
+    def _lay_out(self, trajectory: Trajectory, samples: DistanceSamples) -> None:
+        self.trajectory, self.samples = trajectory, samples
+        self._tensors = {"shapes": torch.from_numpy(trajectory.surface_vertices.astype(np.float32))}
+        self._hold_out()
 
     def _hold_out(self) -> None:
         """Split both sets of points into training and validation; distances are laid out point by point, for a step reads whole points."""

@@ -118,6 +118,7 @@ def _mesh_file(dataset: Dataset, folder: Path, stages: _Stages) -> Path:
 
 def _make_mesh(path: Path, geometry: MeshedGeometry) -> None:
     began = time.perf_counter()
+    logger.info("tet mesh: %s; fTetWild takes about half a minute for the bunny and cannot say how far it is", type(geometry).__name__)
     mesh = geometry.tet_mesh()
     write_mesh(path, mesh, {"geometry": described(geometry), "seconds": time.perf_counter() - began})
 
@@ -138,7 +139,7 @@ def _make_distances(path: Path, trajectory_path: Path, sampling: Sampling, devic
 def sample_distances(trajectory: Trajectory, sampling: Sampling, device: str = "cpu", report: Report | None = None) -> DistanceSamples:
     """The signed distances of every frame at points shared by all (paper section 3). `report(done, total)` after each frame."""
     mesh = trajectory.mesh
-    vertices = (mesh.nodes + trajectory.displacements)[:, mesh.surface_nodes]
+    vertices = trajectory.surface_vertices
     box = sampling_box(vertices, sampling.box_scale)
     points = box_points(box, sampling)
     near_points = near_surface_points(vertices, mesh.surface_faces, box, sampling.near_surface_spread * mesh.diagonal, sampling)

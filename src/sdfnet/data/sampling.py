@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.optimize import brentq
 
-from sdfnet.errors import StoreError
+from sdfnet.errors import ConfigurationError, StoreError
 from sdfnet.geometry.distance import morton_order
 from sdfnet.scene import Sampling
 
@@ -22,15 +22,23 @@ class SamplingBox:
 
 
 def sampling_box(vertices: Float64[np.ndarray, "frames vertices 3"], scale: float) -> SamplingBox:
-    """The largest (by volume) of the frames' bounding boxes, scaled about its centre (paper section 3: 1.5)."""
+    """The largest (by volume) of the frames' bounding boxes, scaled about its centre (paper section 3: 1.5).
+
+    Raises ConfigurationError when a frame leaves it, as a solid that flies can.
+    """
     lower, upper = vertices.min(axis=1), vertices.max(axis=1)
     largest = int(np.argmax(np.prod(upper - lower, axis=1)))
-    centre, half = (lower[largest] + upper[largest]) / 2, (upper[largest] - lower[largest]) / 2
-    return SamplingBox(centre - scale * half, centre + scale * half)
+    centre, half = (lower[largest] + upper[largest]) / 2, scale * (upper[largest] - lower[largest]) / 2
+    outside = np.maximum(centre - half - lower, upper - centre - half).max(axis=1)
+    if outside.max() >= 0:
+        raise ConfigurationError(
+            f"the sampling box must hold every frame, found frame {int(outside.argmax())} {outside.max():.3g} m outside it; raise dataset.sampling.box_scale"
+        )
+    return SamplingBox(centre - half, centre + half)
 
 
 def box_points(box: SamplingBox, sampling: Sampling) -> Float32[np.ndarray, "points 3"]:
-    """`sampling.count` points in Morton order: x and y uniform, z with density a (z - z_min)^n + b (metres, paper section 3)."""
+    """`sampling.count` points in Morton order: x and y uniform, z with density proportional to (z - z_min)^n + b (paper section 3)."""
     generator = np.random.default_rng([sampling.seed, 0])
     unit = generator.random((sampling.count, 3))
     height = np.linspace(0.0, box.upper[2] - box.lower[2], Z_TABLE)

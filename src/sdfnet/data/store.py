@@ -30,7 +30,7 @@ from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.trajectory import Trajectory
 
 FORMAT_VERSION = 1  # raised when the meaning of a file changes; part of every name
-RECORDED_PACKAGES = ("sdfnet", "torch", "lightning", "hydra-core", "numpy", "scikit-fem", "pytetwild", "warp-lang", "h5py")
+RECORDED_PACKAGES = ("sdfnet", "torch", "lightning", "pytorch_optimizer", "hydra-core", "numpy", "scikit-fem", "pytetwild", "warp-lang", "scikit-image", "h5py")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """The networks beside KNN-1 and the marching-cubes floor, frame by frame (paper, Results)."""
 
 import logging
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -23,7 +24,8 @@ from sdfnet.physics.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
 
-METHODS = ("network", "knn1", "floor")
+PREFIX = {"network": "", "knn1": "knn1_", "floor": "floor_"}  # of a method's metrics in the result
+METHODS = tuple(PREFIX)
 EIKONAL_POINTS = 20_000
 
 
@@ -41,6 +43,14 @@ class EvaluationSettings:
     def __post_init__(self) -> None:
         if self.every < 1 or self.volume_frames < 1 or self.surface_samples < 1 or self.volume_samples < 1:
             raise ConfigurationError("evaluation.every, volume_frames, surface_samples and volume_samples must each be at least 1")
+        if self.resolution < 2:
+            raise ConfigurationError(f"evaluation.resolution must be at least 2, found {self.resolution}")
+
+    def require_frames(self, count: int) -> None:
+        """Raise ConfigurationError when a frame of `mesh_frames` does not exist among `count`."""
+        bad = [frame for frame in self.mesh_frames if not -count <= frame < count]
+        if bad:
+            raise ConfigurationError(f"evaluation.mesh_frames must lie in [{-count}, {count - 1}] for {count} frames, found {bad}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +72,7 @@ class Evaluation:
         """
         summary: dict[str, float | int] = {}
         for method, errors in self.surface_errors.items():
-            prefix = "" if method == "network" else f"{method}_"
+            prefix = PREFIX[method]
             summary |= {prefix + name: value for name, value in aggregate(errors).items()}
             unseen = {frame: errors[frame] for frame in unseen_frames if frame in errors}
             if unseen:
@@ -71,7 +81,8 @@ class Evaluation:
             summary |= {name: value for name, value in fields.items() if name not in ("frames", "failed_frames")}
         for name in ("eikonal_mean", "eikonal_p99"):
             summary[name] = float(np.mean([getattr(found, name) for found in self.eikonal_errors.values()]))
-        summary["skill"] = 1 - summary["chamfer_l1_mm_mean"] / summary["knn1_chamfer_l1_mm_mean"]
+        reference = summary["knn1_chamfer_l1_mm_mean"]
+        summary["skill"] = 1 - summary["chamfer_l1_mm_mean"] / reference if math.isfinite(reference) else math.nan
         return summary
 
 
@@ -87,11 +98,13 @@ def evaluate(
     All three are marched on one grid over the sampling box. A network without a surface in a frame is counted as a
     failure there. `progress(done, total)` is called after every frame.
     """
-    frames = measured_frames(len(trajectory.times), settings.every)
-    wanted = {frame % len(trajectory.times) for frame in settings.mesh_frames} & set(frames)
+    count = len(trajectory.times)
+    settings.require_frames(count)
+    wanted = {frame % count for frame in settings.mesh_frames}
+    frames = sorted({*measured_frames(count, settings.every), *wanted})
     volume_frames = {frames[round(k)] for k in np.linspace(0, len(frames) - 1, settings.volume_frames)}
     mesh = trajectory.mesh
-    vertices = torch.from_numpy((mesh.nodes + trajectory.displacements)[:, mesh.surface_nodes].astype(np.float32))
+    vertices = torch.from_numpy(trajectory.surface_vertices.astype(np.float32))
     grid = Grid(samples.box.lower, samples.box.upper, settings.resolution)
     clock = _Clock()
     networks = networks.eval().cpu()

@@ -10,7 +10,7 @@ import torch
 from rich.table import Table
 
 from sdfnet.data.store import versions, written_whole
-from sdfnet.evaluation.evaluate import METHODS, Evaluation
+from sdfnet.evaluation.evaluate import METHODS, PREFIX, Evaluation
 from sdfnet.evaluation.figures import Panel, figure5
 from sdfnet.evaluation.metrics import vertex_errors
 from sdfnet.geometry.distance import SurfaceDistance
@@ -22,11 +22,21 @@ ROWS = (
     ("chamfer_l1_mm", "chamfer L1 (mm)", 3),
     ("accuracy_mm", "accuracy, network to truth (mm)", 3),
     ("completeness_mm", "completeness, truth to network (mm)", 3),
+    ("rms_mm", "RMS (mm)", 3),
     ("p99_mm", "99th percentile (mm)", 3),
     ("hausdorff_mm", "Hausdorff (mm)", 3),
     ("normal_degrees", "normals (degrees)", 2),
     ("f_score_0p1_percent", "F-score at 0.1 % of D", 3),
     ("f_score_0p5_percent", "F-score at 0.5 % of D", 3),
+    ("f_score_1_percent", "F-score at 1 % of D", 3),
+)
+NETWORK_ROWS = (  # mean over the volume frames; only a network has a field to ask
+    ("intersection_over_union_mean", "volume overlap (IoU)", 4),
+    ("volume_error_percent_mean", "volume error (%)", 3),
+    ("mae_within_1_percent_mm_mean", "field error within 1 % of D (mm)", 3),
+    ("mae_mm_mean", "field error, whole box (mm)", 3),
+    ("sign_error_percent_mean", "points on the wrong side (%)", 3),
+    ("eikonal_mean", "gradient length off 1", 3),
 )
 
 
@@ -44,7 +54,7 @@ def result_of(
         "diagonal_mm": trajectory.mesh.diagonal * 1e3,
         **{f"{stage.replace(' ', '_')}_seconds": value for stage, value in seconds.items()},
         **{f"evaluate_{stage}_seconds": value for stage, value in evaluation.seconds.items()},
-        "device": "cpu" if not torch.cuda.is_available() else torch.cuda.get_device_name(),
+        "evaluation_device": "cpu",
         "threads": torch.get_num_threads(),
         "versions": versions(),
     }
@@ -59,14 +69,18 @@ def table_of(result: Mapping[str, Any]) -> Table:
     for metric, title, digits in ROWS:
         cells = []
         for method in METHODS:
-            prefix = "" if method == "network" else f"{method}_"
-            cells.append(f"{result[f'{prefix}{metric}_mean']:.{digits}f} / {result[f'{prefix}{metric}_worst']:.{digits}f}")
+            name = PREFIX[method] + metric
+            cells.append(f"{result[f'{name}_mean']:.{digits}f} / {result[f'{name}_worst']:.{digits}f}")
         table.add_row(title, *cells)
+    in_diagonals = [f"{1e3 * result[PREFIX[method] + 'chamfer_l1_mm_mean'] / result['diagonal_mm']:.3f}" for method in METHODS]
+    table.add_row("chamfer L1 (1e-3 D)", *in_diagonals)
+    for metric, title, digits in NETWORK_ROWS:
+        table.add_row(title, f"{result[metric]:.{digits}f}", "", "")
     if "unseen_frames" in result:
-        names = [("" if method == "network" else f"{method}_") + "chamfer_l1_mm" for method in METHODS]
+        names = [PREFIX[method] + "chamfer_l1_mm" for method in METHODS]
         cells = [f"{result[f'unseen_{name}_mean']:.3f} / {result[f'unseen_{name}_worst']:.3f}" for name in names]
         table.add_row(f"chamfer L1, {result['unseen_frames']:.0f} frames never trained on (mm)", *cells)
-    table.add_row("failed frames", *[f"{result[('' if method == 'network' else f'{method}_') + 'failed_frames']:.0f}" for method in METHODS])
+    table.add_row("failed frames", *[f"{result[PREFIX[method] + 'failed_frames']:.0f}" for method in METHODS])
     table.add_row("size", f"{result['query_bytes'] / 1e3:.1f} kB", f"{result['knn1_bytes'] / 1e6:.0f} MB", "the meshes")
     table.add_row("parameters, decoder + encoder", f"{result['decoder_parameters']:,} + {result['encoder_parameters']:,}", "", "")
     return table

@@ -4,7 +4,8 @@ A dataset may bring its own: derive from `MeshedGeometry`, add fields, and retur
 """
 
 import hashlib
-from abc import abstractmethod
+import logging
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,12 +19,14 @@ from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.geometry.tetrahedralise import tetrahedralise
 from sdfnet.scene import Geometry
 
+logger = logging.getLogger(__name__)
+
 # The six tets that share the diagonal 0-7 of a cell whose corner k has the offsets (k & 1, k >> 1 & 1, k >> 2).
 KUHN_TETS = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
 
 
 @dataclass(frozen=True)
-class MeshedGeometry(Geometry):
+class MeshedGeometry(Geometry, ABC):
     """A solid that can be turned into tets."""
 
     @abstractmethod
@@ -59,7 +62,10 @@ class ClosedSurface(MeshedGeometry):
         if not self.repair:
             require_closed(surface, f"'{self.source().name}'")
         placed = place(surface, self.up_axis, self.x_extent, self.foot_depth)
-        return tetrahedralise(placed, self.edge_length, self.envelope, self.stop_energy, self.simplify)
+        mesh = tetrahedralise(placed, self.edge_length, self.envelope, self.stop_energy, self.simplify)
+        if self.repair:
+            logger.warning("repair: the surface enclosed %.4g m^3, its tets fill %.4g m^3", placed.as_trimesh().volume, mesh.volumes.sum())
+        return mesh
 
     def inputs_digest(self) -> str:
         """The hash of the surface file's bytes; a missing file is reported by `load_surface`."""

@@ -1,5 +1,6 @@
 """The SDF Calculator: a latent vector and a point in, the signed distance out (paper section 4, S(z_i, X) = d)."""
 
+import torch
 from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
@@ -41,7 +42,11 @@ class SdfCalculator(nn.Module):
 
     def encoded(self, points: Float32[Tensor, "*batch 3"]) -> Float[Tensor, "*batch width"]:
         """The points' part of the first layer, W_x enc(x), the same for every shape."""
-        return self.from_point(self.encoding((points - self.centre) / self.half_side))
+        local = (points - self.centre) / self.half_side
+        if isinstance(self.encoding, FourierFeatures):
+            return self.from_point(self.encoding(local))
+        with torch.autocast(points.device.type, enabled=False):  # bf16 coordinates would move a point by up to a fifth of a millimetre
+            return self.from_point(local)
 
     def from_encoded(self, latents: Float[Tensor, "frames latent"], encoded: Float[Tensor, "*batch width"]) -> Float32[Tensor, "frames points"]:
         """The rest of the network, from what `encoded` gives."""

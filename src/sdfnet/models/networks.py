@@ -60,12 +60,11 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 def load_networks(path: Path) -> Networks:
     """The networks of a training checkpoint, of whatever size they were. Raises TrainingError."""
     contents = read_checkpoint(path)
-    settings = ModelSettings(**contents[RECORD]["model"])
-    weights = {name.removeprefix(CHECKPOINT_PREFIX): values for name, values in contents["state_dict"].items()}
-    vertices = weights["encoder.mean_shape"]
-    networks = Networks(settings, torch.zeros(1, *vertices.shape), torch.zeros(3), torch.ones(3))
     try:
+        settings = ModelSettings(**contents[RECORD]["model"])
+        weights = {name.removeprefix(CHECKPOINT_PREFIX): values for name, values in contents["state_dict"].items()}
+        networks = Networks(settings, torch.zeros(1, *weights["encoder.mean_shape"].shape), torch.zeros(3), torch.ones(3))
         networks.load_state_dict(weights)
-    except RuntimeError as error:
+    except (RuntimeError, KeyError, TypeError) as error:
         raise TrainingError(f"'{path}' does not fit the model that it names: {error}") from error
     return networks

@@ -19,6 +19,12 @@ class Trajectory:
     time_step: float  # s, really taken
     report: dict[str, float | int | str]  # how it was made and how well; units in the names
 
+    @property
+    def surface_vertices(self) -> Float64[np.ndarray, "frames vertices 3"]:
+        """The boundary's vertices at every frame, m."""
+        nodes = self.mesh.surface_nodes
+        return self.mesh.nodes[nodes] + self.displacements[:, nodes]
+
     def surface(self, frame: int) -> Surface:
         """The deformed boundary surface at a frame; its vertices are `mesh.surface_nodes`."""
         return self.mesh.surface(self.displacements[frame])

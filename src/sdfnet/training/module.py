@@ -22,10 +22,11 @@ from sdfnet.training.losses import alpha_latent, latent_loss, one_minus_cosine, 
 from sdfnet.training.schedules import decay, take_reading
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 
-ADAM_BETAS = (0.9, 0.99)
+ADAM_BETAS = {"adam": (0.9, 0.999), "soap": (0.9, 0.99)}  # PyTorch's own; beside SOAP the shorter memory that SOAP has
 SOAP_BETAS = (0.95, 0.99)
 SOAP_REFRESH = 10  # steps between new eigenbases; more often was slower and no better
 FRAMES_PER_VALIDATION_CHUNK = 4
+TRAIN_SECONDS = "sdfnet_train_seconds"  # the entry with the seconds of training up to then
 EPOCH_LOSSES = "sdfnet_epoch_losses"  # the entry of a checkpoint that holds the losses of the epoch under way
 
 
@@ -57,17 +58,15 @@ class SdfTraining(LightningModule):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Say what this is a checkpoint of."""
-        files = self._family.files
-        checkpoint[RECORD] = {
-            "model": asdict(self._model),
-            "trajectory": files.trajectory.name,
-            "distances": files.distances.name,
-            "train_frames": self._family.train_frames.tolist(),
-        }
+        checkpoint[RECORD] = self._identity()
         checkpoint[EPOCH_LOSSES] = self._epoch_losses
+        checkpoint[TRAIN_SECONDS] = time.perf_counter() - self._began if self.trainer.training else self.train_seconds
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Take up the losses of the epoch that the run stopped in. Raises TrainingError where Lightning cannot go on exactly."""
+        """Take up where the run stopped. Raises TrainingError when it was another run, or where Lightning cannot go on exactly."""
+        different = [name for name, value in self._identity().items() if checkpoint[RECORD].get(name) != value]
+        if different:
+            raise TrainingError(f"the checkpoint differs from this run in {', '.join(different)}; resume with the settings and data that it was trained with")
         last_step = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]
         if last_step["is_last_batch"] and last_step["current"]["completed"] < last_step["current"]["processed"]:
             raise TrainingError(
@@ -75,12 +74,28 @@ class SdfTraining(LightningModule):
                 "validation; resume from one that TimedCheckpoint wrote, or one of an epoch's end"
             )
         self._epoch_losses = list(checkpoint[EPOCH_LOSSES])
+        self.train_seconds = float(checkpoint[TRAIN_SECONDS])
+
+    def _identity(self) -> dict[str, Any]:
+        """What a resumed run must share with the one that was stopped. More epochs are allowed, unless the rates are planned over all of them."""
+        family, training = self._family, asdict(self._training)
+        if self._optimizer.schedule == "plateau":
+            del training["epochs"]
+        return {
+            "model": asdict(self._model),
+            "optimizer": asdict(self._optimizer),
+            "training": training,
+            "batch": asdict(family.batch),
+            "seed": family.seed,
+            "train_frames": family.train_frames.tolist(),
+            **family.file_names,
+        }
 
     def configure_optimizers(self) -> Any:
         """One optimiser a network; with plateaus, one scheduler a plateau and network: four objects for the paper's two."""
         settings = self._optimizer
         optimizers: list[Optimizer] = [
-            Adam(self.networks.encoder.parameters(), lr=settings.encoder_rate, betas=ADAM_BETAS, fused=True),
+            Adam(self.networks.encoder.parameters(), lr=settings.encoder_rate, betas=ADAM_BETAS[settings.name], fused=True),
             _decoder_optimizer(settings, self.networks.decoder),
         ]
         plateaus = settings.plateaus if settings.schedule == "plateau" else ()
@@ -90,10 +105,10 @@ class SdfTraining(LightningModule):
         """Move the data to the device that training runs on, once."""
         self._family.to(self.device)
         self._entered = None
-        self._began = time.perf_counter()
+        self._began = time.perf_counter() - self.train_seconds
 
     def on_train_end(self) -> None:
-        """Note how long training took."""
+        """Note how long training took, what came before a resume included."""
         self.train_seconds = time.perf_counter() - self._began
 
     @property
@@ -223,7 +238,7 @@ class SdfTraining(LightningModule):
 
 def _decoder_optimizer(settings: OptimizerSettings, decoder: torch.nn.Module) -> Optimizer:
     if settings.name == "adam":
-        return Adam(decoder.parameters(), lr=settings.decoder_rate, betas=ADAM_BETAS)
+        return Adam(decoder.parameters(), lr=settings.decoder_rate, betas=ADAM_BETAS[settings.name])
     from pytorch_optimizer import SOAP
 
     return SOAP(decoder.parameters(), lr=settings.decoder_rate, betas=SOAP_BETAS, weight_decay=0.0, precondition_frequency=SOAP_REFRESH)

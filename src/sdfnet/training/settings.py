@@ -27,6 +27,8 @@ class OptimizerSettings:
                 raise ConfigurationError(f"optimizer.{name} must be positive, found {getattr(self, name)}")
         if not 0 <= self.warmup < 1:
             raise ConfigurationError(f"optimizer.warmup must lie in [0, 1), found {self.warmup}")
+        if self.warmup > 0 and self.schedule == "plateau":
+            raise ConfigurationError("optimizer.warmup belongs to the linear and cosine schedules; set it to 0 with plateaus")
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class TrainingSettings:
     validate_every: int = 1  # epochs between looks at the validation loss
 
     def __post_init__(self) -> None:
+        if not self.cycle or self.latent_weight < 0:
+            raise ConfigurationError(f"training.cycle needs a phase and latent_weight must not be negative, found {self.cycle} and {self.latent_weight}")
         if self.power not in (1, 2):
             raise ConfigurationError(f"training.power must be 1 or 2, found {self.power}")
         if self.focus is not None and self.focus <= 0:
