@@ -1,5 +1,6 @@
 """What a training step sees: a pure function of seed, epoch and step; held-out points stay out; distances belong to their points and frames."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -241,7 +242,8 @@ def test_batches_that_cannot_be_are_refused_by_name(wrong: dict[str, int | float
 def test_batches_that_the_dataset_cannot_give_are_refused(folder: Path) -> None:
     with pytest.raises(ConfigurationError, match="batch.frames_per_step is 8, but the split 'all' has 7 training frames"):
         ShapeFamily(BALL, folder, BatchSettings(frames_per_step=8))
+    bare = replace(BALL, sampling=replace(BALL.sampling, near_surface_count=0))
     with pytest.raises(ConfigurationError, match="near_surface_count gives none to train on"):
-        ShapeFamily(BALL, folder, BatchSettings(points_per_step=10, near_share=0.5, validation_points=1500))
+        ShapeFamily(bare, folder, BatchSettings(points_per_step=10, near_share=0.5))
     with pytest.raises(ConfigurationError, match="split must be one of all, interpolation, extrapolation; found 'random'"):
         split_frames(10, "random")

@@ -8,7 +8,7 @@ import torch
 from scipy import integrate, stats
 
 from sdfnet.data.sampling import SamplingBox, box_points, filter_weight, keep_per_frame, near_surface_points, sampling_box
-from sdfnet.errors import StoreError
+from sdfnet.errors import ConfigurationError, StoreError
 from sdfnet.geometry.distance import signed_distance
 from sdfnet.geometry.solids import Sphere
 from sdfnet.scene import Sampling
@@ -21,10 +21,16 @@ RARE = 1e-6
 
 def test_the_box_is_that_of_the_largest_frame_scaled_about_its_centre() -> None:
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 4.0]])
-    frames = np.stack([corners, corners * [1.2, 1.0, 1.0] + [10.0, 0.0, 0.0], corners * [3.0, 0.3, 1.0]])
+    frames = np.stack([corners, corners * [1.2, 1.0, 1.0] + [0.1, 0.0, 0.0], corners * [1.5, 0.3, 1.0]])
     box = sampling_box(frames, 1.5)
-    np.testing.assert_allclose(box.lower, [9.7, -0.5, -1.0], atol=1e-12)  # frame 1: 10..11.2, 0..2, 0..4
-    np.testing.assert_allclose(box.upper, [11.5, 2.5, 5.0], atol=1e-12)
+    np.testing.assert_allclose(box.lower, [-0.2, -0.5, -1.0], atol=1e-12)  # frame 1: 0.1..1.3, 0..2, 0..4
+    np.testing.assert_allclose(box.upper, [1.6, 2.5, 5.0], atol=1e-12)
+
+
+def test_a_frame_that_leaves_the_box_is_named() -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    with pytest.raises(ConfigurationError, match="must hold every frame, found frame 1 1.75 m outside it; raise dataset.sampling.box_scale"):
+        sampling_box(np.stack([corners, corners + [2.0, 0.0, 0.0]]), 1.5)
 
 
 @pytest.mark.parametrize("sampling", [PAPER, replace(PAPER, z_exponent=2.0, z_floor=0.0, seed=4), replace(PAPER, z_floor=0.3)], ids=["paper", "steep", "floor"])

@@ -96,3 +96,9 @@ def test_the_last_frame_is_always_measured() -> None:
 def test_settings_that_measure_nothing_are_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"evaluation\.every"):
         EvaluationSettings(every=0)
+
+
+def test_a_mesh_frame_that_does_not_exist_is_refused() -> None:
+    settings = EvaluationSettings(mesh_frames=(500,))
+    with pytest.raises(ConfigurationError, match=r"mesh_frames must lie in \[-101, 100\] for 101 frames, found \[500\]"):
+        settings.require_frames(101)

@@ -68,7 +68,7 @@ def test_a_given_step_that_fills_the_interval_is_kept_and_nothing_is_logged(cube
         compiled = plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=1e-4)), cube)
     assert compiled.steps_per_frame == 100
     assert compiled.time_step == pytest.approx(1e-4, rel=1e-12)
-    assert caplog.messages == []
+    assert [record.message for record in caplog.records if record.name == "sdfnet.physics.plan"] == []
 
 
 def test_a_given_step_is_shortened_to_a_whole_number_per_frame_and_that_is_said(cube: TetMesh, caplog: pytest.LogCaptureFixture) -> None:

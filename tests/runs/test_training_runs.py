@@ -294,3 +294,10 @@ def test_resuming_with_another_model_is_refused_with_both_sizes(data: Path, tmp_
     message = "is of another model: width 8 there, 16 here; latent 4 there, 3 here; resume with the same model settings"
     with pytest.raises(TrainingError, match=message):
         _require_same_model(checkpoint, TrainSettings(dataset=BALL, model=replace(SMALL.model, width=16, latent=3)))
+
+
+def test_resuming_another_run_is_refused_by_name(data: Path, tmp_path: Path) -> None:
+    run(SMALL, data, tmp_path, epochs=1)
+    other = replace(SMALL, batch=replace(SMALL.batch, stride=SMALL.batch.stride + 1))
+    with pytest.raises(TrainingError, match="the checkpoint differs from this run in batch; resume with the settings and data"):
+        run(other, data, resume=tmp_path / "epoch-0.ckpt")

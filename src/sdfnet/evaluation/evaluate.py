@@ -98,10 +98,7 @@ def evaluate(
     All three are marched on one grid over the sampling box. A network without a surface in a frame is counted as a
     failure there. `progress(done, total)` is called after every frame.
     """
-    count = len(trajectory.times)
-    settings.require_frames(count)
-    wanted = {frame % count for frame in settings.mesh_frames}
-    frames = sorted({*measured_frames(count, settings.every), *wanted})
+    frames, wanted = _measured_and_wanted(settings, len(trajectory.times))
     volume_frames = {frames[round(k)] for k in np.linspace(0, len(frames) - 1, settings.volume_frames)}
     mesh = trajectory.mesh
     vertices = torch.from_numpy(trajectory.surface_vertices.astype(np.float32))
@@ -143,6 +140,12 @@ def evaluate(
 def measured_frames(count: int, every: int) -> list[int]:
     """Every `every`-th frame, and the last."""
     return sorted({*range(0, count, every), count - 1})
+
+
+def _measured_and_wanted(settings: EvaluationSettings, count: int) -> tuple[list[int], set[int]]:
+    settings.require_frames(count)
+    wanted = {frame % count for frame in settings.mesh_frames}
+    return sorted({*measured_frames(count, settings.every), *wanted}), wanted
 
 
 def _knn1_values(nearest: NearestSample, samples: DistanceSamples, frame: int, grid: Grid) -> Float32[Tensor, "x y z"]:

@@ -16,6 +16,7 @@ def query_kernel(
     distances: wp.array(dtype=wp.float32),
     faces: wp.array(dtype=wp.int32),
 ):
+    """For each point within its bound, the signed distance to the nearest face and that face's index; beyond it the bound and -1."""
     i = wp.tid()
     point = points[i]
     query = wp.mesh_query_point_no_sign(mesh, point, bounds[i])
