@@ -18,7 +18,7 @@ from sdfnet.errors import GeometryError
 from sdfnet.geometry.distance_kernel import query_kernel
 from sdfnet.geometry.surface import Surface
 
-wp.config.log_level = wp.LOG_ERROR  # a machine without CUDA is no cause for a warning
+wp.config.log_level = wp.LOG_ERROR  # its greeting is no news; what its native code prints about a missing CUDA driver does not listen to this
 
 # A closest point nearer than this to an edge or corner, in barycentric coordinates, takes the normal of that edge or
 # corner: ten times the float32 error of the coordinates on triangles of 1 % of the solid's size.
