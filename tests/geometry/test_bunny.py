@@ -7,7 +7,8 @@ import pytest
 
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.bunny import TABLE_1, beside_table_1, bunny_path, place
-from sdfnet.geometry.surface import Surface, load_surface, require_closed
+from sdfnet.geometry.inspection import require_closed
+from sdfnet.geometry.surface import Surface, load_surface
 
 
 @pytest.fixture(scope="module")

@@ -105,6 +105,34 @@ def test_a_thin_plate_has_an_inside() -> None:
     torch.testing.assert_close(signed_distance(points, plate), heights.abs() - thickness / 2, atol=2e-7, rtol=0)  # float32 steps at 1 m: 1e-7
 
 
+def test_points_exactly_on_a_corner_an_edge_or_a_face_have_distance_nought_and_a_side_a_step_away() -> None:
+    cube = trimesh.creation.box((2.0, 2.0, 2.0))
+    surface = Surface(np.asarray(cube.vertices, dtype=np.float64), np.asarray(cube.faces, dtype=np.int64))
+    on = torch.tensor([[1.0, 1, 1], [-1, 1, -1], [1, 1, 0.3], [-1, 0.5, 1], [1, 0.2, 0.1], [0.5, 0.5, -1], [0, 0, 1]])  # corners, edges, faces, a diagonal
+    rounding, step = 2e-7, 2.0**-20  # float32 steps at 1 m: 1e-7
+    assert signed_distance(on, surface).abs().max() <= rounding
+    outward = on.sign() * (on.abs() == 1)
+    beyond = signed_distance(on + step * outward, surface)
+    torch.testing.assert_close(beyond, step * outward.norm(dim=1), atol=rounding, rtol=0)
+    torch.testing.assert_close(signed_distance(on - step * outward, surface), torch.full((len(on),), -step), atol=rounding, rtol=0)
+
+
+def test_between_two_sheets_a_ten_thousandth_of_the_diagonal_apart_the_sign_is_right() -> None:
+    leaf = trimesh.creation.icosphere(subdivisions=4)  # a bent ear: an ellipsoid flattened to that thickness
+    x, y, z = np.asarray(leaf.vertices).T
+    gap = 1e-4 * 2 * np.sqrt(2)
+    ear = Surface(np.stack([x, y, 0.5 * gap * z + 0.3 * x**2 - 0.2 * x * y], axis=1), np.asarray(leaf.faces, dtype=np.int64))
+    generator = np.random.default_rng(5)
+    corners = ear.vertices[generator.permutation(ear.faces)[:2000]]
+    points = (corners.mean(axis=1) + generator.uniform(-1.0, 1.0, (2000, 1)) * [0.0, 0.0, gap]).astype(np.float32)
+    found = signed_distance(torch.from_numpy(points), ear).numpy()
+    clear = np.abs(found) > AGREEMENT
+    inside = igl.winding_number(ear.vertices, ear.faces, points.astype(np.float64))[clear] > 0.5
+    np.testing.assert_array_equal(found[clear] < 0, inside)
+    assert 0.1 < inside.mean() < 0.9
+    assert clear.mean() > 0.9
+
+
 def test_about_sharp_edges_and_tips_the_sign_is_right() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0.05, 0], [0.9, -0.2, 0.1], [0.5, 0, 0.02]])  # a splinter: a face's own normal is wrong beyond its edges and tips
     hull = trimesh.convex.convex_hull(corners)
@@ -138,6 +166,17 @@ def test_a_bound_that_excludes_the_surface_is_an_error(deforming: SurfaceDistanc
         deforming.signed_distance(points, torch.tensor([0.1, 1.0]))
     with pytest.raises(GeometryError, match="1 of 2 points found no surface"):
         deforming.signed_distance(torch.tensor([[torch.nan, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_vertex_that_is_not_finite_is_refused_before_anything_is_asked(bunny: Surface, bad: float) -> None:
+    broken = bunny.vertices.copy()
+    broken[[7, 9], 1] = bad
+    message = "surface vertices must be finite, found 2 that are not, the first at index 7; find where the solid diverged"
+    with pytest.raises(GeometryError, match=message):
+        SurfaceDistance(Surface(broken, bunny.faces))
+    with pytest.raises(GeometryError, match=message):
+        SurfaceDistance(bunny).deform(broken)
 
 
 def test_many_points_split_over_threads_give_what_few_give(deforming: SurfaceDistance, bunny: Surface, frames: list[np.ndarray]) -> None:

@@ -1,5 +1,7 @@
 """The solids that come with sdfnet."""
 
+import logging
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +11,8 @@ import trimesh
 
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.bunny import bunny_path
+from sdfnet.geometry.inspection import require_closed
 from sdfnet.geometry.solids import Box, ClosedSurface, Sphere, kuhn_grid
-from sdfnet.geometry.surface import require_closed
 from sdfnet.geometry.tetmesh import TetMesh
 
 
@@ -74,12 +76,84 @@ def test_a_surface_of_ones_own_is_filled_where_it_is_placed() -> None:
     np.testing.assert_allclose(upper, [0.2, 0.1, 0.19], atol=4e-4)
 
 
-def test_an_open_surface_is_refused_by_its_file_name_and_filled_on_request() -> None:
+def test_an_open_surface_is_refused_by_its_file_name_and_filled_on_request(caplog: pytest.LogCaptureFixture) -> None:
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
     ball.update_faces(np.arange(len(ball.faces)) > 0)
     ball.export("open.ply")
     geometry = ClosedSurface(path="open.ply", x_extent=None, edge_length=0.3)
     with pytest.raises(GeometryError, match=r"^'open\.ply' must be a closed surface, found 3 open edges"):
         geometry.tet_mesh()
-    filled = replace(geometry, repair=True).tet_mesh()
+    with caplog.at_level(logging.WARNING):
+        filled = replace(geometry, repair=True).tet_mesh()
     assert filled.volumes.sum() == pytest.approx(ball.convex_hull.volume, rel=0.02)  # the hull closes the hole with its flat triangle
+    flaws, change = caplog.messages
+    assert flaws.startswith("repair: 'open.ply' has 3 open edges at (")
+    assert change.startswith("repair: the surface enclosed ")
+    assert f"its tets fill {filled.volumes.sum():.4g} m^3, a change of " in change
+
+
+def _ball() -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(subdivisions=1, radius=0.1)
+
+
+def _together(first: trimesh.Trimesh, second: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(np.vstack([first.vertices, second.vertices]), np.vstack([first.faces, second.faces + len(first.vertices)]), process=False)
+
+
+def _turned_over() -> trimesh.Trimesh:
+    return trimesh.Trimesh(_ball().vertices, _ball().faces[:, ::-1])
+
+
+def _partly_turned() -> trimesh.Trimesh:
+    faces = _ball().faces.copy()
+    faces[:7] = faces[:7, ::-1]
+    return trimesh.Trimesh(_ball().vertices, faces, process=False)
+
+
+def _two_that_cross() -> trimesh.Trimesh:
+    other = _ball().apply_transform(trimesh.transformations.euler_matrix(0.3, 0.5, 0.7)).apply_translation([0.05, 0.0, 0.0])
+    return _together(_ball(), other)
+
+
+def _hollow_all_wrong() -> trimesh.Trimesh:
+    cavity = _ball().apply_scale(0.5)
+    return _together(_turned_over(), cavity)  # the outer wound inward, the cavity outward
+
+
+def _two_apart() -> trimesh.Trimesh:
+    return _together(_ball(), _ball().apply_translation([0.3, 0.0, 0.0]))
+
+
+def _two_apart_one_turned_over() -> trimesh.Trimesh:
+    return _together(_ball(), _turned_over().apply_translation([0.3, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("made", "flaw", "volume"),
+    [
+        (_turned_over, "80 of 80 faces wound inward", 1.0),
+        (_partly_turned, "7 faces wound against their neighbours", 1.0),
+        (_two_that_cross, "pairs of faces that cross each other", 1.367),  # two balls less their lens, 1 - 3d/4r + d^3/16r^3 of one, d = r/2
+        (_hollow_all_wrong, "160 of 160 faces wound inward", 0.875),
+        (_two_apart_one_turned_over, "80 of 160 faces wound inward", 2.0),  # left so, fTetWild would drop it
+        (_two_apart, "2 separate bodies of 80, 80 faces, which would fly apart", 2.0),
+    ],
+)
+def test_repair_fills_what_is_flawed_and_tells_the_flaw(
+    made: Callable[[], trimesh.Trimesh], flaw: str, volume: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    made().export("flawed.ply")
+    geometry = ClosedSurface(path="flawed.ply", x_extent=None, foot_depth=None, up_axis="z", edge_length=0.3)
+    with pytest.raises(GeometryError, match=flaw):
+        geometry.tet_mesh()
+    with caplog.at_level(logging.WARNING):
+        filled = replace(geometry, repair=True).tet_mesh()
+    assert flaw in caplog.messages[0]
+    assert filled.volumes.sum() == pytest.approx(volume * _ball().volume, rel=0.05)  # 42 vertices a ball: the lens is cut less round
+
+
+def test_the_repair_of_a_whole_surface_says_that_there_was_no_flaw(caplog: pytest.LogCaptureFixture) -> None:
+    _ball().export("whole.ply")
+    with caplog.at_level(logging.WARNING):
+        ClosedSurface(path="whole.ply", x_extent=None, edge_length=0.3, repair=True).tet_mesh()
+    assert caplog.messages[0] == "repair: 'whole.ply' has no flaw; fTetWild fills it all the same"

@@ -1,13 +1,14 @@
 """The tet mesh: what it refuses, and its boundary."""
 
+import logging
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from sdfnet.errors import GeometryError
+from sdfnet.geometry.inspection import require_closed
 from sdfnet.geometry.solids import Sphere, kuhn_grid
-from sdfnet.geometry.surface import require_closed
 from sdfnet.geometry.tetmesh import TetMesh
 
 UNIT = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -56,10 +57,65 @@ def test_inverted_and_flat_tets_are_counted_and_the_first_is_named() -> None:
     nodes, tets = kuhn_grid((1, 1, 1))
     inverted = tets.copy()
     inverted[2:4] = inverted[2:4, [0, 2, 1, 3]]
-    with pytest.raises(GeometryError, match="every tet must have positive volume, found 2 inverted or flat, the first at index 2"):
+    with pytest.raises(
+        GeometryError,
+        match=r"every tet must have positive volume, found 2 inverted or flat, the first at index 2, \(0\.25, 0\.75, 0\.5\) m; mesh the solid again, or swap",
+    ):
         TetMesh(nodes, inverted)
-    with pytest.raises(GeometryError, match="found 1 inverted or flat, the first at index 0"):
+    with pytest.raises(GeometryError, match=r"found 1 inverted or flat, the first at index 0, \(0\.25, 0\.25, 0\) m; mesh"):
         TetMesh(UNIT * [1, 1, 0], ONE)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_a_regular_tet_has_the_aspect_ratio_sqrt_three_halves(scale: float) -> None:
+    regular = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
+    mesh = TetMesh(scale * regular, ONE)
+    assert mesh.aspect_ratios == pytest.approx([np.sqrt(1.5)], rel=1e-14)
+    assert mesh.smallest_altitudes == pytest.approx([scale * np.sqrt(8) * np.sqrt(2 / 3)], rel=1e-14)
+
+
+@pytest.mark.parametrize("corner", range(4))
+def test_the_smallest_altitude_stands_on_the_largest_face(corner: int) -> None:
+    base = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])
+    nodes = np.insert(base, corner, [1.0, 1.0, 0.25], axis=0)  # low over the middle of its base
+    oriented = ONE if np.linalg.det(nodes[1:] - nodes[0]) > 0 else ONE[:, [0, 2, 1, 3]]
+    mesh = TetMesh(nodes, oriented)
+    assert mesh.smallest_altitudes == pytest.approx([0.25], rel=1e-14)
+    assert mesh.aspect_ratios == pytest.approx([np.sqrt(18) / 0.25], rel=1e-14)
+
+
+def test_a_sliver_is_taken_and_named_as_the_worst() -> None:
+    nodes, tets = kuhn_grid((1, 1, 1))
+    base = tets[4, :3]  # the fifth tet is cut in four about a point just over its base
+    apex = nodes[base].mean(axis=0) + 1e-4 * (nodes[tets[4, 3]] - nodes[base].mean(axis=0))
+    a, b, c, d = tets[4]
+    around = np.array([[a, b, c, 8], [a, b, 8, d], [b, c, 8, d], [c, a, 8, d]])
+    mesh = TetMesh(np.vstack([nodes, apex]), np.vstack([np.delete(tets, 4, axis=0), around]))
+    assert mesh.volumes.sum() == pytest.approx(1.0, rel=1e-14)
+    worst = mesh.worst
+    assert worst.index == 5
+    assert worst.aspect_ratio > 1e4
+    assert worst.aspect_ratio == mesh.aspect_ratios.max()
+    height = 6 * mesh.volumes[5] / np.linalg.norm(np.cross(nodes[b] - nodes[a], nodes[c] - nodes[a]))
+    assert worst.smallest_altitude == pytest.approx(height, rel=1e-12)
+    np.testing.assert_allclose(worst.place, np.vstack([nodes[[a, b, c]], apex]).mean(axis=0), rtol=1e-14)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_two_nodes_at_one_place_are_warned_of_as_a_crack(scale: float, caplog: pytest.LogCaptureFixture) -> None:
+    nodes, tets = kuhn_grid((2, 1, 1))
+    cut = np.vstack([nodes, nodes[5] + [0.0, 0.0, 1e-10]])
+    loose = tets.copy()
+    tet, corner = np.argwhere(loose == 5)[0]
+    loose[tet, corner] = len(nodes)
+    with caplog.at_level(logging.WARNING):
+        TetMesh(scale * nodes, tets)
+        TetMesh(scale * np.vstack([nodes, nodes[:1]]), tets)  # the second node at that place belongs to no tet
+        assert not caplog.messages
+        TetMesh(scale * cut, loose)
+    x, y, z = scale * nodes[5]
+    (message,) = caplog.messages
+    assert message.startswith(f"2 nodes of the tet mesh lie upon another, the first at index 5, ({x:.4g}, {y:.4g}, {z:.4g}) m; the solid is cracked there")
 
 
 def test_an_empty_mesh_and_nodes_that_are_not_finite_are_refused() -> None:

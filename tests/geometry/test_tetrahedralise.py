@@ -7,7 +7,8 @@ import trimesh
 
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.distance import signed_distance
-from sdfnet.geometry.surface import Surface, require_closed
+from sdfnet.geometry.inspection import require_closed
+from sdfnet.geometry.surface import Surface
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.geometry.tetrahedralise import tetrahedralise
 
@@ -47,3 +48,12 @@ def test_a_surface_that_encloses_nothing_is_refused() -> None:
     flat = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     with pytest.raises(GeometryError, match="fTetWild left no tets"):
         tetrahedralise(Surface(flat, np.array([[0, 1, 2], [0, 2, 3]])), edge_length=0.5)
+
+
+def test_no_faces_and_vertices_that_are_not_finite_are_refused_before_ftetwild_sees_them(ball: Surface) -> None:
+    with pytest.raises(GeometryError, match="needs a surface with faces, found none"):
+        tetrahedralise(Surface(ball.vertices, ball.faces[:0]))
+    broken = ball.vertices.copy()
+    broken[3, 1], broken[4] = np.nan, np.inf
+    with pytest.raises(GeometryError, match="needs finite vertices, found 2 that are not"):
+        tetrahedralise(Surface(broken, ball.faces))

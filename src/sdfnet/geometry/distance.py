@@ -42,11 +42,12 @@ class SurfaceDistance:
     """Distance to one surface whose vertices move and whose faces stay.
 
     Not for a surface that crosses itself: the distance stays right, the sign inside the overlap does not.
-    Raises GeometryError when the surface is not closed, for then inside has no meaning; with `is_closed` false any
-    surface is taken and only `closest` means something.
+    Raises GeometryError when the surface is not closed, for then inside has no meaning, and when a vertex is not finite;
+    with `is_closed` false an open surface is taken too and only `closest` means something.
     """
 
     def __init__(self, surface: Surface, device: str = "cpu", is_closed: bool = True) -> None:
+        _require_finite(surface.vertices)
         self._device = device
         self._faces = surface.faces
         self._rounding = DIAGONAL_MARGIN * surface.diagonal
@@ -63,7 +64,8 @@ class SurfaceDistance:
         self._set_normals(surface.vertices)
 
     def deform(self, vertices: Float64[np.ndarray, "vertices 3"]) -> None:
-        """Move the surface to new vertex positions (m); the hierarchy is refitted, not rebuilt."""
+        """Move the surface to new vertex positions (m); the hierarchy is refitted, not rebuilt. Raises GeometryError when one is not finite."""
+        _require_finite(vertices)
         self._mesh.points.assign((vertices - self._centre).astype(np.float32))
         self._mesh.refit()
         self._set_normals(vertices)
@@ -149,6 +151,12 @@ def morton_order(points: Float32[np.ndarray, "points 3"]) -> Int64[np.ndarray, "
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)
     return np.argsort(cells[:, 0] << np.uint32(2) | cells[:, 1] << np.uint32(1) | cells[:, 2], kind="stable")
+
+
+def _require_finite(vertices: np.ndarray) -> None:
+    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(bad):  # a hierarchy of boxes that are not finite finds some faces and loses others
+        raise GeometryError(f"surface vertices must be finite, found {len(bad)} that are not, the first at index {bad[0]}; find where the solid diverged")
 
 
 def _faces_across_edges(faces: np.ndarray) -> np.ndarray:

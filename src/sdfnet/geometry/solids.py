@@ -14,7 +14,8 @@ from jaxtyping import Float64, Int64
 
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.bunny import bunny_path, place
-from sdfnet.geometry.surface import load_surface, require_closed
+from sdfnet.geometry.inspection import inspection, require_closed, wound_outward
+from sdfnet.geometry.surface import load_surface
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.geometry.tetrahedralise import tetrahedralise
 from sdfnet.scene import Geometry
@@ -50,21 +51,25 @@ class ClosedSurface(MeshedGeometry):
     envelope: float = 1e-3  # how far the filled surface may leave the input, same fraction
     stop_energy: float = 50.0  # fTetWild stops improving at this energy; 10 is better shaped and twice as slow
     simplify: bool = True  # let fTetWild simplify the surface first: fewer slivers, so twice the time step
-    repair: bool = False  # accept an open surface and let fTetWild close it
+    repair: bool = False  # take a surface with flaws and let fTetWild fill it; what was flawed and the change of volume are logged
 
     def source(self) -> Path:
         """The file that is read."""
         return bunny_path() if self.path is None else Path(self.path).expanduser()
 
     def tet_mesh(self) -> TetMesh:
-        """Load, check, place, fill."""
-        surface = load_surface(self.source())
-        if not self.repair:
-            require_closed(surface, f"'{self.source().name}'")
+        """Load, check, place, fill. Raises GeometryError for a flawed surface unless `repair` is set."""
+        surface, name = load_surface(self.source()), f"'{self.source().name}'"
+        if self.repair:
+            logger.warning("repair: %s has %s; fTetWild fills it all the same", name, "; ".join(inspection(surface).problems()) or "no flaw")
+            surface = wound_outward(surface)  # of several bodies fTetWild drops those that are wound inward
+        else:
+            require_closed(surface, name)
         placed = place(surface, self.up_axis, self.x_extent, self.foot_depth)
         mesh = tetrahedralise(placed, self.edge_length, self.envelope, self.stop_energy, self.simplify)
         if self.repair:
-            logger.warning("repair: the surface enclosed %.4g m^3, its tets fill %.4g m^3", placed.as_trimesh().volume, mesh.volumes.sum())
+            before, after = placed.as_trimesh().volume, float(mesh.volumes.sum())
+            logger.warning("repair: the surface enclosed %.4g m^3, its tets fill %.4g m^3, a change of %+.2g m^3", before, after, after - before)
         return mesh
 
     def inputs_digest(self) -> str:

@@ -1,5 +1,6 @@
-"""Triangle surfaces: load, inspect, refuse what is not closed."""
+"""Triangle surfaces: what they are and how they are read."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -7,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from jaxtyping import Float64, Int64
+from scipy.spatial import cKDTree
 
 from sdfnet.errors import GeometryError
+
+NEARNESS = 1e-9  # of the diagonal: nearer points are one, lower triangles have no area; a hundred times finer than float32 coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,32 +35,32 @@ class Surface:
 def load_surface(path: Path) -> Surface:
     """Read a triangle surface from .obj, .ply, .stl, .off or .usd/.usda/.usdc.
 
-    Coincident vertices are merged, because .stl has no shared ones. Raises GeometryError when the file is missing,
-    unreadable, empty or not finite.
+    Vertices that are equal to the bit are merged, because .stl has no shared ones; those that no face uses are left
+    out. Raises GeometryError when the file is missing, unreadable, empty or not finite.
     """
     if not path.is_file():
         raise GeometryError(f"no surface file at '{path}'; give an existing .obj, .ply, .stl or .usd")
     vertices, faces = _read_usd(path) if path.suffix.lower().startswith(".usd") else _read_trimesh(path)
     if len(faces) == 0:
         raise GeometryError(f"'{path}' holds no triangles")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise GeometryError(f"'{path}' could not be read: a face names vertex {faces.max()} of {len(vertices)}; export it again")
     if not np.isfinite(vertices).all():
         raise GeometryError(f"'{path}' has {int((~np.isfinite(vertices)).any(axis=1).sum())} vertices that are not finite")
-    merged = trimesh.Trimesh(vertices, faces, process=True)
-    return Surface(np.asarray(merged.vertices, dtype=np.float64), np.asarray(merged.faces, dtype=np.int64))
+    used, numbered = np.unique(faces, return_inverse=True)
+    _, first, merged = np.unique(vertices[used] + 0.0, axis=0, return_index=True, return_inverse=True)  # + 0.0 makes -0.0 equal to it
+    in_order = np.argsort(np.argsort(first))[merged.ravel()]  # vertices keep the order of the file
+    return Surface(vertices[used][np.sort(first)], in_order[numbered].reshape(-1, 3))
 
 
-def require_closed(surface: Surface, origin: str) -> None:
-    """Raise GeometryError unless the surface bounds a volume: every edge shared by two faces, winding outward."""
-    mesh = surface.as_trimesh()
-    uses = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
-    n_open, n_crowded = int((uses == 1).sum()), int((uses > 2).sum())
-    if n_open or n_crowded:
-        raise GeometryError(
-            f"{origin} must be a closed surface, found {n_open} open edges and {n_crowded} edges shared by more than two faces; "
-            "close the holes in a mesh editor, or set dataset.scene.geometry.repair=true to let fTetWild fill them"
-        )
-    if not mesh.is_winding_consistent or mesh.volume <= 0:
-        raise GeometryError(f"{origin} must have outward winding throughout, found an enclosed volume of {mesh.volume:.3g} m^3; flip or unify its normals")
+def near_points(points: Float64[np.ndarray, "points 3"]) -> Int64[np.ndarray, " near"]:
+    """Indices of the points nearer than 1e-9 of their bounding box diagonal to another."""
+    return np.flatnonzero(cKDTree(points).query(points, k=2)[0][:, 1] <= NEARNESS * np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def place_text(place: Iterable[float]) -> str:
+    """A place as messages write it, four digits: (0.01, -0.025, 0.1312)."""
+    return f"({', '.join(f'{coordinate:.4g}' for coordinate in place)})"
 
 
 def _read_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -80,9 +84,8 @@ def _read_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
     points, counts, indices = meshes[0].GetPointsAttr().Get(), meshes[0].GetFaceVertexCountsAttr().Get(), meshes[0].GetFaceVertexIndicesAttr().Get()
     if not (points and counts and indices):
         raise GeometryError(f"'{path}' holds no triangles")
-    counts = np.asarray(counts)
-    if (counts != 3).any():
-        raise GeometryError(f"'{path}' must hold triangles, found faces of {sorted(set(counts.tolist()))} corners; triangulate it first")
+    if set(counts) != {3}:
+        raise GeometryError(f"'{path}' must hold triangles, found faces of {sorted(set(counts))} corners; triangulate it first")
     to_world = np.asarray(UsdGeom.XformCache().GetLocalToWorldTransform(meshes[0].GetPrim()))  # acts on row vectors
     vertices = np.asarray(points, dtype=np.float64) @ to_world[:3, :3] + to_world[3, :3]
     return vertices, np.asarray(indices, dtype=np.int64).reshape(-1, 3)

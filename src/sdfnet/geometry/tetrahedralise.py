@@ -17,8 +17,13 @@ def tetrahedralise(surface: Surface, edge_length: float = 0.05, envelope: float 
     `edge_length` and `envelope` (how far the result may leave the input) are fractions of the bounding box diagonal;
     `stop_energy` is the AMIPS energy at which mesh improvement stops: lower is better shaped and slower. fTetWild uses
     threads and does not repeat itself to the bit; name what you build from the result by `TetMesh.digest`.
-    Raises GeometryError when fTetWild leaves nothing.
+    Raises GeometryError when fTetWild leaves nothing, and for what it does not refuse itself: no faces (it ends the
+    program) and vertices that are not finite (it fills something else).
     """
+    if len(surface.faces) == 0:
+        raise GeometryError("fTetWild needs a surface with faces, found none")
+    if not np.isfinite(surface.vertices).all():
+        raise GeometryError(f"fTetWild needs finite vertices, found {int((~np.isfinite(surface.vertices)).any(axis=1).sum())} that are not")
     with TemporaryDirectory() as scratch, chdir(scratch):  # fTetWild leaves a file in the working folder
         nodes, tets = pytetwild.tetrahedralize(
             surface.vertices,
