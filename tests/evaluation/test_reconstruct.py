@@ -141,6 +141,26 @@ def test_surface_cut_by_the_box_is_refused_naming_the_face(axis: int, side: str)
         surface_from_values(sphere_values(grid), grid)
 
 
+def test_a_surface_cut_on_several_sides_names_them_all_with_their_points() -> None:
+    values = torch.ones(10, 10, 10)
+    values[5:, 4:6, :3] = -1.0  # leaves through the upper x face, 2 x 3 points, and through the lower z face, 5 x 2
+    with pytest.raises(ReconstructionError, match="found points inside it on the box: 6 on the upper x face, 10 on the lower z face; enlarge the box"):
+        surface_from_values(values, box_grid(10))
+
+
+def test_values_that_touch_the_level_from_one_side_have_no_surface() -> None:
+    grid = box_grid(10)
+    touching = (sphere_values(grid) + RADIUS).clamp_min(0.5) - 0.5
+    for values, message in ((touching, "found 0 to "), (-touching - 1e-6, "to -1e-06 m")):
+        with pytest.raises(ReconstructionError, match=message):
+            surface_from_values(values, grid)
+
+
+def test_a_grid_of_nothing_but_nan_is_refused() -> None:
+    with pytest.raises(ReconstructionError, match="found 1000 of 1000 that are not"):
+        surface_from_values(torch.full((10, 10, 10), torch.nan), box_grid(10))
+
+
 def test_values_of_another_grid_are_refused() -> None:
     with pytest.raises(ReconstructionError, match=r"grid's shape \(10, 10, 10\), found \(9, 9, 9\)"):
         surface_from_values(sphere_values(box_grid(9)), box_grid(10))

@@ -1,19 +1,20 @@
-"""Runs a command as a user would, in this process."""
+"""Runs a command as a user would, in this process; trains small networks that can be stopped and resumed."""
 
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
 from sdfnet.cli import entry
-
-Run = Callable[..., None]
+from sdfnet.data.prepare import prepare
+from tests.runs.resumable_run import BALL, RECIPES, Outcome, Recipe, RequireSameEnd, Run, require_same_end, train
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch) -> Run:
+def command(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """`command("train", "experiment=smoke")`; raises SystemExit where the command fails."""
 
     def run(name: str, *words: str) -> None:
@@ -32,3 +33,35 @@ def newest_result() -> Callable[[str], Path]:
         return max(Path("outputs", name).rglob("result.json"), key=lambda path: path.stat().st_mtime).parent
 
     return newest
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The prepared data of the ball."""
+    made = tmp_path_factory.mktemp("data")
+    prepare(BALL, made)
+    return made
+
+
+@pytest.fixture(scope="session")
+def run(data: Path, readings: Callable[[], Any]) -> Run:
+    """`run(recipe, checkpoints, resume=..., epochs=...)`: a training, to its end."""
+    return lambda recipe, *folders, **settings: train(recipe, data, readings(), *folders, **settings)
+
+
+@pytest.fixture(scope="session", params=RECIPES)
+def recipe(request: pytest.FixtureRequest) -> Recipe:
+    """Each recipe in turn."""
+    return RECIPES[request.param]
+
+
+@pytest.fixture(scope="session")
+def whole(recipe: Recipe, run: Run, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    """The uninterrupted run, with a checkpoint after every step and every epoch."""
+    return run(recipe, tmp_path_factory.mktemp("checkpoints"))
+
+
+@pytest.fixture(scope="session")
+def same_end(equal: Callable[[Any, Any], bool]) -> RequireSameEnd:
+    """`same_end(resumed, whole, "epoch 3")` asserts that a resumed run took the steps that were left and ended in the same state."""
+    return lambda resumed, whole, origin: require_same_end(resumed, whole, equal, origin)

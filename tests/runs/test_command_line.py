@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import torch
 import trimesh
 from hydra.core.global_hydra import GlobalHydra
 
@@ -186,6 +187,14 @@ def test_a_checkpoint_that_is_missing_or_no_checkpoint_is_named(command: Command
     assert code == 1
     assert "Traceback" not in out + err
     assert "letter.ckpt" in err
+
+
+def test_a_checkpoint_of_arrays_at_hand_is_not_measured_on_files(command: Command) -> None:
+    torch.save({"sdfnet": {"train_frames": [0]}}, "notebook.ckpt")
+    code, out, err = command("evaluate", "checkpoint=notebook.ckpt")
+    assert code == 1
+    assert "Traceback" not in out + err
+    assert "'notebook.ckpt' was trained on arrays at hand, not on prepared files; measure it there with sdfnet.evaluation.evaluate" in err
 
 
 def test_evaluate_without_a_checkpoint_asks_for_one(command: Command) -> None:

@@ -60,7 +60,7 @@ def surface_from_values(values: Float32[Tensor, "x y z"], grid: Grid) -> Surface
     """The surface where the signed distance is zero, by marching cubes, normals towards positive values.
 
     Only the block of cells about the negative values is marched, which changes no triangle. Raises ReconstructionError
-    when a value is not finite, when there is no zero crossing, and when the surface leaves through a face of the box.
+    when a value is not finite, when there is no zero crossing, and when the surface leaves through faces of the box.
     """
     if tuple(values.shape) != grid.shape:
         raise ReconstructionError(f"values must have the grid's shape {grid.shape}, found {tuple(values.shape)}")
@@ -134,8 +134,8 @@ def _require_surface(field: np.ndarray) -> None:
         raise ReconstructionError(
             f"a surface needs values on both sides of zero, found {lowest:.3g} to {highest:.3g} m; train longer, or check that distance is negative inside"
         )
-    for axis, name in enumerate("xyz"):
-        for side, index in (("lower", 0), ("upper", -1)):
-            cut = int((field.take(index, axis=axis) < 0).sum())
-            if cut:
-                raise ReconstructionError(f"the surface must close inside the grid, found {cut} points inside it on the {side} {name} face; enlarge the box")
+    sides = [(axis, side, index) for axis in range(3) for side, index in (("lower", 0), ("upper", -1))]
+    inside = {f"the {side} {'xyz'[axis]} face": int((field.take(index, axis=axis) < 0).sum()) for axis, side, index in sides}
+    cut = ", ".join(f"{count} on {face}" for face, count in inside.items() if count)
+    if cut:
+        raise ReconstructionError(f"the surface must close inside the grid, found points inside it on the box: {cut}; enlarge the box")

@@ -1,11 +1,16 @@
-"""Checkpoints from which a run goes on exactly, wherever it was stopped."""
+"""Checkpoints from which a run goes on exactly, wherever it was stopped, and only that run."""
 
+import reprlib
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback
+
+from sdfnet.data.store import written_whole
+from sdfnet.errors import TrainingError
 
 
 class TimedCheckpoint(Callback):
@@ -22,5 +27,42 @@ class TimedCheckpoint(Callback):
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         """Write if it is time."""
         if time.monotonic() - self._written >= self._seconds:
-            trainer.save_checkpoint(self._path)
+            save_checkpoint(trainer, self._path)
             self._written = time.monotonic()
+
+
+def save_checkpoint(trainer: Trainer, path: Path) -> None:
+    """Write a checkpoint in one move: a full disk or a kill spares the one that was there. Raises StoreError when it cannot be written.
+
+    Lightning alone writes to the system's folder for temporary files and copies from there when that is another disk,
+    and it passes over a missing permission in silence.
+    """
+    with written_whole(path) as unfinished:
+        trainer.save_checkpoint(unfinished)
+
+
+def require_same_run(saved: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Raise TrainingError when what a checkpoint says of its run differs from what is asked, naming each setting with both values.
+
+    Entries that only the checkpoint has are not compared: before the data are made a run does not know its files.
+    """
+    there, here = _by_path({name: saved.get(name) for name in asked}), _by_path(asked)
+    different = [name for name in {**here, **there} if name not in here or name not in there or here[name] != there[name]]
+    if different:
+        listed = ", ".join(f"{name} ({_shown(name, there)} there, {_shown(name, here)} here)" for name in different)
+        raise TrainingError(f"the checkpoint differs from this run in {listed}; resume with the settings and data that it was trained with")
+
+
+def _by_path(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings as one level, `model.width` and the like."""
+    flat: dict[str, Any] = {}
+    for name, value in settings.items():
+        flat |= _by_path(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return flat
+
+
+def _shown(name: str, settings: Mapping[str, Any]) -> str:
+    if name not in settings:
+        return "nothing"
+    value = settings[name]
+    return f"{len(value)} entries {reprlib.repr(value)}" if isinstance(value, list | tuple) else reprlib.repr(value)

@@ -1,6 +1,6 @@
 """The LightningModule: it wires networks, cycle, schedules and losses together, and holds no mathematics of its own."""
 
-import math
+import logging
 import statistics
 import time
 from dataclasses import asdict
@@ -11,20 +11,21 @@ from jaxtyping import Float, Float32
 from lightning import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
-from torch.optim import Adam, Optimizer
 
 from sdfnet.data.datamodule import Batch, ShapeFamily
 from sdfnet.errors import TrainingError
 from sdfnet.models.networks import RECORD, Networks
 from sdfnet.models.settings import ModelSettings
+from sdfnet.training.checkpoints import require_same_run
 from sdfnet.training.cycle import PhaseAt, phase_at
+from sdfnet.training.divergence import loses_surface, require_finite_gradients, require_finite_loss, require_finite_validation
 from sdfnet.training.losses import alpha_latent, latent_loss, one_minus_cosine, sdf_loss
+from sdfnet.training.optimizers import decoder_optimizer, encoder_optimizer
 from sdfnet.training.schedules import decay, take_reading
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 
-ADAM_BETAS = {"adam": (0.9, 0.999), "soap": (0.9, 0.99)}  # PyTorch's own; beside SOAP the shorter memory that SOAP has
-SOAP_BETAS = (0.95, 0.99)
-SOAP_REFRESH = 10  # steps between new eigenbases; more often was slower and no better
+logger = logging.getLogger(__name__)
+
 FRAMES_PER_VALIDATION_CHUNK = 4
 TRAIN_SECONDS = "sdfnet_train_seconds"  # the entry with the seconds of training up to then
 EPOCH_LOSSES = "sdfnet_epoch_losses"  # the entry of a checkpoint that holds the losses of the epoch under way
@@ -48,6 +49,7 @@ class SdfTraining(LightningModule):
         self._fixed_latents: Tensor | None = None
         self._epoch_losses: list[float] = []
         self._validation_losses: Tensor | None = None
+        self._lost_frames: list[int] = []
 
     def configure_model(self) -> None:
         """Make the networks for the mesh at hand (Lightning calls this after the data are set up)."""
@@ -58,15 +60,15 @@ class SdfTraining(LightningModule):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Say what this is a checkpoint of."""
-        checkpoint[RECORD] = self._identity()
+        checkpoint[RECORD] = self.identity()
         checkpoint[EPOCH_LOSSES] = self._epoch_losses
         checkpoint[TRAIN_SECONDS] = time.perf_counter() - self._began if self.trainer.training else self.train_seconds
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Take up where the run stopped. Raises TrainingError when it was another run, or where Lightning cannot go on exactly."""
-        different = [name for name, value in self._identity().items() if checkpoint[RECORD].get(name) != value]
-        if different:
-            raise TrainingError(f"the checkpoint differs from this run in {', '.join(different)}; resume with the settings and data that it was trained with")
+        if RECORD not in checkpoint:
+            raise TrainingError("the checkpoint is of another program, expected one written by train.py")
+        require_same_run(checkpoint[RECORD], self.identity())
         last_step = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]
         if last_step["is_last_batch"] and last_step["current"]["completed"] < last_step["current"]["processed"]:
             raise TrainingError(
@@ -76,8 +78,11 @@ class SdfTraining(LightningModule):
         self._epoch_losses = list(checkpoint[EPOCH_LOSSES])
         self.train_seconds = float(checkpoint[TRAIN_SECONDS])
 
-    def _identity(self) -> dict[str, Any]:
-        """What a resumed run must share with the one that was stopped. More epochs are allowed, unless the rates are planned over all of them."""
+    def identity(self) -> dict[str, Any]:
+        """What a resumed run must share with the one that was stopped: settings, frames and, once they are there, the prepared files.
+
+        More epochs are allowed, unless the rates are planned over all of them.
+        """
         family, training = self._family, asdict(self._training)
         if self._optimizer.schedule == "plateau":
             del training["epochs"]
@@ -88,16 +93,13 @@ class SdfTraining(LightningModule):
             "batch": asdict(family.batch),
             "seed": family.seed,
             "train_frames": family.train_frames.tolist(),
-            **family.file_names,
+            **(family.file_names if hasattr(family, "samples") else {}),
         }
 
     def configure_optimizers(self) -> Any:
         """One optimiser a network; with plateaus, one scheduler a plateau and network: four objects for the paper's two."""
         settings = self._optimizer
-        optimizers: list[Optimizer] = [
-            Adam(self.networks.encoder.parameters(), lr=settings.encoder_rate, betas=ADAM_BETAS[settings.name], fused=True),
-            _decoder_optimizer(settings, self.networks.decoder),
-        ]
+        optimizers = [encoder_optimizer(settings, self.networks.encoder), decoder_optimizer(settings, self.networks.decoder)]
         plateaus = settings.plateaus if settings.schedule == "plateau" else ()
         return optimizers, [plateau.scheduler(optimizer) for plateau in plateaus for optimizer in optimizers]
 
@@ -108,8 +110,10 @@ class SdfTraining(LightningModule):
         self._began = time.perf_counter() - self.train_seconds
 
     def on_train_end(self) -> None:
-        """Note how long training took, what came before a resume included."""
+        """Note how long training took, what came before a resume included; say so when frames have no surface."""
         self.train_seconds = time.perf_counter() - self._began
+        if self._lost_frames:
+            logger.warning("training ended with a network that has no surface in frames %s: there its distances have one sign; train longer", self._lost_frames)
 
     @property
     def phase(self) -> PhaseAt:
@@ -133,23 +137,20 @@ class SdfTraining(LightningModule):
         self._fixed_latents = None if phase.trains_encoder else self.networks.latents(self._family.shapes)
 
     def training_step(self, step: int, step_index: int) -> None:
-        """One step of whichever networks train. Raises TrainingError when the loss is not finite."""
-        batch = self._family.step(self.current_epoch, step_index)
+        """One step of whichever networks train. Raises TrainingError when the loss or a gradient is not finite."""
+        batch, where = self._family.step(self.current_epoch, step_index), f"epoch {self.current_epoch}, step {step_index}"
         phase = self.phase
         if self._optimizer.schedule != "plateau":
             self._set_decayed_rates(step_index)
         loss = self._loss(batch, self._latents(batch))
         value = float(loss.detach())
-        if not math.isfinite(value):
-            raise TrainingError(
-                f"epoch {self.current_epoch}, step {step_index}: the loss must be finite, found {value}; the first layer with a bad weight is "
-                f"{self._first_bad_layer()}; lower optimizer.encoder_rate and decoder_rate, or look for bad distances in frames {batch.frames.tolist()}"
-            )
+        require_finite_loss(value, self.networks, batch, where)
         encoder_optimizer, decoder_optimizer = self._both_optimizers()
         active = [one for one, trains in ((encoder_optimizer, phase.trains_encoder), (decoder_optimizer, phase.trains_decoder)) if trains]
         for optimizer in active:
             optimizer.zero_grad(set_to_none=True)
         self.manual_backward(loss)
+        require_finite_gradients(self.networks, batch, where)
         with torch.autocast(self.device.type, enabled=False):  # Lightning calls this under bf16; optimisers compute in float32
             for optimizer in active:
                 optimizer.step()
@@ -169,23 +170,26 @@ class SdfTraining(LightningModule):
         }
         if self._validation_losses is not None:
             readings |= {"loss/validation_mean": self._validation_losses.mean(), "loss/validation_max": self._validation_losses.max()}
+            readings["validation/frames_without_surface"] = len(self._lost_frames)
             latents = self.networks.latents(self._family.shapes) if self._fixed_latents is None else self._fixed_latents
             readings["latent/cosine_first_to_last"] = 1 - one_minus_cosine(latents[:1], latents[-1:])[0]
             self._validation_losses = None
-        for logger in self.loggers:
-            logger.log_metrics({name: float(value) for name, value in readings.items()}, step=self.current_epoch)
+        for board in self.loggers:
+            board.log_metrics({name: float(value) for name, value in readings.items()}, step=self.current_epoch)
 
     def validation_step(self, step: int, step_index: int) -> None:
-        """The SDF loss of every training frame at the held-out points."""
+        """The SDF loss of every training frame at the held-out points. Raises TrainingError when one is not finite."""
         batch = self._family.validation
         latents = self._latents(batch)
         encoded = self.networks.decoder.encoded(batch.points)
-        self._validation_losses = torch.cat(
-            [
-                torch.stack([self._sdf_loss(row[None], true[None]) for row, true in zip(self.networks.decoder.from_encoded(some, encoded), trues, strict=True)])
-                for some, trues in zip(latents.split(FRAMES_PER_VALIDATION_CHUNK), batch.distances.split(FRAMES_PER_VALIDATION_CHUNK), strict=True)
-            ]
-        )
+        losses, is_lost = [], []
+        for some, trues in zip(latents.split(FRAMES_PER_VALIDATION_CHUNK), batch.distances.split(FRAMES_PER_VALIDATION_CHUNK), strict=True):
+            predicted = self.networks.decoder.from_encoded(some, encoded)
+            losses += [self._sdf_loss(row[None], true[None]) for row, true in zip(predicted, trues, strict=True)]
+            is_lost.append(loses_surface(predicted, trues))
+        self._validation_losses = torch.stack(losses)
+        self._lost_frames = batch.frames[torch.cat(is_lost).cpu()].tolist()
+        require_finite_validation(self._validation_losses, batch.frames.tolist(), f"epoch {self.current_epoch}")
 
     def on_validation_epoch_end(self) -> None:
         """The second plateau listens to the mean over the frames (paper section 4, Scheduler 2)."""
@@ -230,15 +234,3 @@ class SdfTraining(LightningModule):
     def _both_optimizers(self) -> tuple[LightningOptimizer, LightningOptimizer]:
         encoder_optimizer, decoder_optimizer = self.optimizers()  # type: ignore[attr-defined]
         return encoder_optimizer, decoder_optimizer
-
-    def _first_bad_layer(self) -> str:
-        bad = [name for name, weights in self.networks.named_parameters() if not weights.isfinite().all()]
-        return bad[0] if bad else "none"
-
-
-def _decoder_optimizer(settings: OptimizerSettings, decoder: torch.nn.Module) -> Optimizer:
-    if settings.name == "adam":
-        return Adam(decoder.parameters(), lr=settings.decoder_rate, betas=ADAM_BETAS[settings.name])
-    from pytorch_optimizer import SOAP
-
-    return SOAP(decoder.parameters(), lr=settings.decoder_rate, betas=SOAP_BETAS, weight_decay=0.0, precondition_frequency=SOAP_REFRESH)

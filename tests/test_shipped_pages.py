@@ -1,0 +1,71 @@
+"""Every page in conf/ composes, and says what it should."""
+
+import pytest
+from omegaconf import OmegaConf
+
+from sdfnet.cli.entry import register
+from sdfnet.cli.settings import TrainerSettings
+from sdfnet.evaluation.evaluate import EvaluationSettings
+from sdfnet.plugins import frozen, shipped
+from tests.composition import composed
+
+pytestmark = pytest.mark.usefixtures("clean_store")
+
+
+def _choices(group: str) -> list[str]:
+    return [f"{group}={path.stem}" for path in sorted((shipped("conf") / group).glob("*.yaml"))]
+
+
+COMMANDS = [
+    ("train", []),
+    *[("train", [choice]) for group in ("model", "batch", "optimizer", "training", "experiment") for choice in _choices(group)],
+    *[("train", [f"dataset={path.stem}"]) for path in sorted(shipped("datasets").glob("*.py"))],
+    ("prepare", []),
+    ("evaluate", ["checkpoint=some.ckpt"]),
+    ("cost", []),
+    ("verify", []),
+    ("verify", []),
+]
+
+
+@pytest.mark.parametrize(("command", "overrides"), COMMANDS, ids=[" ".join([command, *overrides]) for command, overrides in COMMANDS])
+def test_every_shipped_page_composes_and_becomes_its_objects(command: str, overrides: list[str]) -> None:
+    register()
+    config = composed(command, *overrides)
+    settings = frozen(config)
+    assert type(settings).__name__ == f"{command.title()}Settings"
+    assert not OmegaConf.missing_keys(config)
+    for key in config:
+        assert hasattr(settings, str(key))
+
+
+def test_every_yaml_is_covered_by_the_commands() -> None:
+    pages = {path.relative_to(shipped("conf")).with_suffix("").as_posix() for path in shipped("conf").rglob("*.yaml")}
+    covered = {command for command, _ in COMMANDS} | {override.replace("=", "/") for _, overrides in COMMANDS for override in overrides}
+    assert pages <= covered
+
+
+def test_the_papers_experiment_has_the_papers_numbers() -> None:
+    register()
+    settings = frozen(composed("train", "experiment=paper"))
+    scene, sampling = settings.dataset.scene, settings.dataset.sampling
+    assert (scene.solver.mass, scene.solver.integrator, scene.solver.time_step) == ("consistent", "symplectic_euler", 1e-6)
+    assert (scene.recording.duration, scene.recording.frames) == (0.01, 101)
+    assert (scene.material.youngs_modulus, scene.material.poisson_ratio, scene.material.density) == (5e3, 0.4, 1.0)
+    assert (scene.effects["poke"].radius, scene.effects["poke"].pressure) == (0.003, 4000.0)
+    assert (sampling.count, sampling.near_surface_count, sampling.box_scale, sampling.z_exponent, sampling.z_floor) == (1_000_000, 0, 1.5, 0.5, 0.001)
+    assert (sampling.weight_outside, sampling.weight_inside, abs(sampling.decay)) == (0.8, 3.0, 10.0)
+    assert (settings.model.width, settings.model.depth, settings.model.latent, settings.model.encoding) == (256, 3, 128, "none")
+    assert (settings.optimizer.encoder_rate, settings.optimizer.decoder_rate) == (0.0075, 0.005)
+    assert (settings.training.epochs, settings.batch.ordered_epochs, settings.batch.frames_per_step) == (592, 6, 2)
+    assert [(phase.trains, phase.epochs) for phase in settings.training.cycle] == [("both", 7), ("encoder", 5), ("decoder", 12)]
+    plateaus = [(one.first_epoch, one.last_epoch, one.patience, one.factor) for one in settings.optimizer.plateaus]
+    assert plateaus == [(3, 19, 30, 0.92), (20, None, 2, 0.75)]
+
+
+def test_the_menu_of_train_shows_all_settings_of_trainer_and_evaluation_at_their_defaults() -> None:
+    page = OmegaConf.to_container(OmegaConf.load(shipped("conf") / "train.yaml"))
+    assert isinstance(page, dict)
+    for name, defaults in (("trainer", TrainerSettings()), ("evaluation", EvaluationSettings())):
+        shown = {key: tuple(value) if isinstance(value, list) else value for key, value in page[name].items()}
+        assert shown == vars(defaults)
