@@ -25,6 +25,13 @@ def test_the_notebook_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> 
     assert float(capsys.readouterr().out.split()[-1]) < 3.0, "a few hundred steps find the ball of 50 mm"
 
 
+def test_the_cantilever_of_the_readme_is_that_of_beam_theory(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(NOTEBOOK[2], "README.md", "exec"), {})
+    tip, first, *_ = (float(number) for number in re.findall(r"-?\d+\.\d+", capsys.readouterr().out))
+    assert tip == pytest.approx(-0.8048, rel=0.01)  # quadratic elements, as in the reference cases
+    assert first == pytest.approx(0.11349, rel=0.01)
+
+
 def test_every_file_that_the_readme_links_to_exists() -> None:
     links = re.findall(r"\]\((?!http)([^)]+)\)", README)
     assert links

@@ -9,6 +9,12 @@ from dataclasses import dataclass, field
 
 from sdfnet.errors import ConfigurationError
 
+SOLVER_CHOICES = {
+    "integrator": ("leapfrog", "symplectic_euler", "newmark", "modal", "exact"),
+    "mass": ("lumped", "consistent"),
+    "element": ("P1", "P1_nodal_pressure", "P2"),
+}
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -49,6 +55,11 @@ class Material:
         return self.youngs_modulus / (2 * (1 + self.poisson_ratio))
 
     @property
+    def bulk_modulus(self) -> float:
+        """K, Pa: E / (3 (1 - 2 nu))."""
+        return self.youngs_modulus / (3 * (1 - 2 * self.poisson_ratio))
+
+    @property
     def pressure_wave_speed(self) -> float:
         """Speed of sound, m/s: sqrt((lambda + 2 mu) / rho)."""
         return math.sqrt((self.lame_lambda + 2 * self.lame_mu) / self.density)
@@ -70,15 +81,17 @@ class Recording:
 
 @dataclass(frozen=True)
 class Solver:
-    """How the equation of motion is stepped through time."""
+    """How the equation of motion is discretised in space and stepped through time."""
 
+    integrator: str = "leapfrog"  # leapfrog: second order; symplectic_euler: the paper's; newmark, modal, exact: see sdfnet.physics.integrators
     mass: str = "lumped"  # lumped: no solve per step; consistent: the Galerkin form of the paper
-    start: str = "half_kick"  # half_kick: second order; rest: the paper's symplectic Euler, first order
-    time_step: float | str = "auto"  # s; auto: the true stability limit times safety
+    element: str = "P1"  # P1: linear tets, the paper's; P1_nodal_pressure: they do not lock near Poisson ratio 0.5; P2: quadratic
+    time_step: float | str = "auto"  # s; auto: the true stability limit times safety, or a part of a frame where nothing limits it
     safety: float = 0.9  # fraction of the stability limit that auto takes
+    modes: int = 100  # how many modal keeps
 
     def __post_init__(self) -> None:
-        for name, allowed in (("mass", ("lumped", "consistent")), ("start", ("half_kick", "rest"))):
+        for name, allowed in SOLVER_CHOICES.items():
             if getattr(self, name) not in allowed:
                 raise ConfigurationError(f"solver.{name} must be one of {', '.join(allowed)}; found '{getattr(self, name)}'")
         if isinstance(self.time_step, str):
@@ -88,17 +101,29 @@ class Solver:
             raise ConfigurationError(f"solver.time_step must be positive and finite, found {self.time_step} s")
         if not 0 < self.safety < 1:
             raise ConfigurationError(f"solver.safety must lie in (0, 1), found {self.safety}")
+        if self.modes < 1:
+            raise ConfigurationError(f"solver.modes must be at least 1, found {self.modes}")
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A solid, its material, what acts on it, and which times are saved."""
+    """A solid, its material, what acts on it, and which times are saved.
+
+    With `load_cases`, each is a load that acts in turn beside the effects, all in one run: the shapes of all cases,
+    one case after the other, are one family.
+    """
 
     geometry: Geometry
     effects: dict[str, Effect]
     material: Material = field(default_factory=Material)
     recording: Recording = field(default_factory=Recording)
     solver: Solver = field(default_factory=Solver)
+    load_cases: dict[str, Effect] = field(default_factory=dict)
+
+    @property
+    def frame_count(self) -> int:
+        """Recorded frames of all load cases."""
+        return self.recording.frames * max(1, len(self.load_cases))
 
 
 @dataclass(frozen=True)
@@ -120,9 +145,12 @@ class Sampling:
     kept_share: float = 0.39  # fraction of the points that the rest frame keeps; the paper kept 389,992 of 1,000,000
     near_surface_count: int = 300_000  # points drawn about the surfaces of random frames; 0: none, as in the paper
     near_surface_spread: float = 0.0085  # standard deviation of their offset, as a fraction of the rest diagonal
+    broken_frames: str = "keep"  # keep: frames with inverted tets or crossing faces are marked and warned of; refuse: they are an error
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if self.broken_frames not in ("keep", "refuse"):
+            raise ConfigurationError(f"sampling.broken_frames must be keep or refuse, found '{self.broken_frames}'")
         if self.count < 1 or self.near_surface_count < 0:
             raise ConfigurationError(f"sampling counts must be positive, found count={self.count}, near_surface_count={self.near_surface_count}")
         if not 0 < self.kept_share < 1:

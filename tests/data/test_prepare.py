@@ -14,12 +14,13 @@ import torch
 import sdfnet.data.prepare
 from sdfnet.data.prepare import PreparedFiles, deforming_distances, prepare, prepare_mesh, sample_distances
 from sdfnet.data.store import read_distances, read_mesh, read_mesh_provenance, read_provenance, read_trajectory
-from sdfnet.errors import ConfigurationError, StoreError
+from sdfnet.errors import ConfigurationError, GeometryError, StoreError
 from sdfnet.geometry.distance import SurfaceDistance, signed_distance
 from sdfnet.geometry.solids import Sphere
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.simulate import simulate
+from sdfnet.physics.trajectory import Trajectory
 from sdfnet.scene import Dataset, Geometry, Recording, Sampling, Scene
 
 STAGES = ("tet mesh", "simulation", "signed distances")
@@ -233,3 +234,39 @@ def test_two_processes_at_once_build_once() -> None:
         process.join()
     assert [process.exitcode for process in processes] == [0, 0]
     assert sorted(stage for path in told for stage in path.read_text().split(",") if stage) == sorted(STAGES)
+
+
+def _crumpled() -> Trajectory:
+    """A ball whose one side is pushed out through the other in its last frame."""
+    trajectory = simulate(SMALL.scene, SMALL.scene.geometry.tet_mesh())  # type: ignore[attr-defined]
+    displacements = trajectory.displacements.copy()
+    displacements[-1] = np.where(trajectory.mesh.nodes[:, :1] < -0.02, [0.15, 0.0, 0.0], 0.0)
+    return replace(trajectory, displacements=displacements)
+
+
+def test_a_broken_frame_is_refused_where_that_is_asked_for() -> None:
+    with pytest.raises(GeometryError, match="every frame must be whole, found that 1 of 3 frames are broken.*or accept them with sampling.broken_frames=keep"):
+        sample_distances(_crumpled(), replace(SMALL.sampling, broken_frames="refuse"))
+
+
+def test_signs_that_contradict_the_winding_number_are_an_error_when_they_are_many() -> None:
+    whole = simulate(SMALL.scene, SMALL.scene.geometry.tet_mesh())  # type: ignore[attr-defined]
+    mirrored = replace(whole, displacements=np.where(np.arange(3)[:, None, None] == 2, -2 * whole.mesh.nodes, 0.0))
+    with pytest.raises(GeometryError, match="signs of distances in the .* points contradict the winding number, most in frame 2; at most 1 % may"):
+        sample_distances(mirrored, SMALL.sampling)
+
+
+def test_whole_frames_are_marked_as_such_in_the_file() -> None:
+    checks = read_trajectory(prepare(SMALL, FOLDER).trajectory).checks
+    assert checks is not None
+    assert checks.inverted_tets.tolist() == checks.crossing_faces.tolist() == [0, 0, 0]
+
+
+def test_load_cases_are_one_family_of_shapes() -> None:
+    scene = replace(SMALL.scene, effects={}, load_cases={"left": POKE, "right": replace(POKE, center=(0.05, 0.0, 0.0))})
+    files = prepare(replace(SMALL, scene=scene), FOLDER)
+    trajectory, samples = read_trajectory(files.trajectory), read_distances(files.distances)
+    assert trajectory.cases == ("left", "right")
+    assert len(samples.distances) == scene.frame_count == 6
+    alone = simulate(replace(scene, effects={"right": scene.load_cases["right"]}, load_cases={}), trajectory.mesh)
+    np.testing.assert_allclose(trajectory.case("right").displacements, alone.displacements, rtol=1e-12, atol=1e-18)

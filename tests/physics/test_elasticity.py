@@ -10,10 +10,12 @@ from scipy.sparse.linalg import cg, eigsh, spsolve
 
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.tetmesh import TetMesh
-from sdfnet.physics.elasticity import assemble, body_force, shape_gradients, traction_on_patch
-from sdfnet.scene import Material
+from sdfnet.physics.elasticity import ElasticModel, assemble, body_force, finite_elements, shape_gradients, stress_load
+from sdfnet.physics.loads import traction_on_patch
+from sdfnet.scene import SOLVER_CHOICES, Material
 
 MakeBox = Callable[..., TetMesh]
+ELEMENTS = SOLVER_CHOICES["element"]
 MATERIAL_A = Material()
 STEEL = Material(youngs_modulus=2.1e11, poisson_ratio=0.29, density=7850.0)
 
@@ -23,68 +25,111 @@ def jittered(make_box: MakeBox) -> TetMesh:
     return make_box(np.linspace(0, 2, 4), np.linspace(0, 1, 5), np.linspace(-1, 0.5, 4), jitter=0.2)
 
 
-@pytest.mark.parametrize("material", [MATERIAL_A, STEEL])
-def test_a_linear_displacement_on_the_boundary_is_linear_inside(jittered: TetMesh, material: Material) -> None:
-    strain = np.array([[0.3, -0.2, 0.1], [0.4, 0.1, 0.7], [-0.5, 0.2, -0.4]])
-    exact = (jittered.nodes @ strain.T).ravel()
-    stiffness = assemble(jittered, material).stiffness
-    outer = (3 * jittered.surface_nodes[:, None] + np.arange(3)).ravel()
-    inner = np.setdiff1d(np.arange(exact.size), outer)
-    found = spsolve(stiffness[inner][:, inner].tocsc(), -stiffness[inner][:, outer] @ exact[outer])
+def inside_error(model: ElasticModel, exact: np.ndarray) -> float:
+    """The largest error inside when the boundary is given the exact displacement, relative to the largest displacement."""
+    outer = np.repeat(model.elements.is_on_boundary, 3)
+    inner, outer = np.flatnonzero(~outer), np.flatnonzero(outer)
     assert len(inner) > 0
-    np.testing.assert_allclose(found, exact[inner], rtol=0, atol=1e-12 * np.abs(exact).max())  # rounding: the space holds linear functions
+    wanted = exact.ravel()
+    found = spsolve(model.stiffness[inner][:, inner].tocsc(), -model.stiffness[inner][:, outer] @ wanted[outer])
+    return float(np.abs(found - wanted[inner]).max() / np.abs(wanted).max())
 
 
-def test_rigid_motion_causes_no_force(jittered: TetMesh) -> None:
-    stiffness = assemble(jittered, STEEL).stiffness
+@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("material", [MATERIAL_A, STEEL])
+def test_a_linear_displacement_on_the_boundary_is_linear_inside(jittered: TetMesh, material: Material, element: str) -> None:
+    strain = np.array([[0.3, -0.2, 0.1], [0.4, 0.1, 0.7], [-0.5, 0.2, -0.4]])
+    model = assemble(jittered, material, element)
+    assert inside_error(model, model.elements.nodes @ strain.T) < 1e-12  # rounding: the space holds linear functions
+
+
+@pytest.mark.parametrize(("element", "least", "most"), [("P2", 0.0, 1e-10), ("P1", 5e-3, 2e-2), ("P1_nodal_pressure", 5e-3, 2e-2)])
+def test_pure_bending_is_exact_with_quadratic_elements_and_a_percent_off_with_linear_ones(make_box: MakeBox, element: str, least: float, most: float) -> None:
+    axis = np.linspace(0, 1, 4)
+    model = assemble(make_box(axis, axis, axis, jitter=0.2), MATERIAL_A, element)
+    x, y, z = model.elements.nodes.T
+    nu = MATERIAL_A.poisson_ratio
+    assert least <= inside_error(model, np.stack([x * z, -nu * y * z, -0.5 * (x**2 + nu * (z**2 - y**2))], axis=1)) < most
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_rigid_motion_causes_no_force(jittered: TetMesh, element: str) -> None:
+    model = assemble(jittered, STEEL, element)
+    stiffness, nodes = model.stiffness, model.elements.nodes
     size = abs(stiffness).sum(axis=1).max()
     axes = np.eye(3)
-    motions = [np.broadcast_to(axis, jittered.nodes.shape) for axis in axes] + [np.cross(axis, jittered.nodes) for axis in axes]
+    motions = [np.broadcast_to(axis, nodes.shape) for axis in axes] + [np.cross(axis, nodes) for axis in axes]
     for motion in motions:
         u = np.ravel(motion)
         assert np.abs(stiffness @ u).max() <= 1e-14 * size * np.abs(u).max()  # rounding of one row's sum
         assert abs(u @ stiffness @ u) <= 1e-12 * size * (u @ u)
 
 
-def test_only_rigid_motions_cause_no_force(jittered: TetMesh) -> None:
-    eigenvalues = np.linalg.eigvalsh(assemble(jittered, MATERIAL_A).stiffness.toarray())
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_only_rigid_motions_cause_no_force(make_box: MakeBox, element: str) -> None:
+    mesh = make_box([0, 1, 2], [0, 0.5, 1], [-1, 0, 0.5], jitter=0.2)
+    eigenvalues = np.linalg.eigvalsh(assemble(mesh, MATERIAL_A, element).stiffness.toarray())
     assert np.sum(np.abs(eigenvalues) < 1e-10 * eigenvalues[-1]) == 6
     assert eigenvalues[6] > 1e-4 * eigenvalues[-1]
 
 
+@pytest.mark.parametrize("element", ELEMENTS)
 @pytest.mark.parametrize("material", [MATERIAL_A, STEEL])
-def test_both_masses_sum_to_density_times_volume(jittered: TetMesh, material: Material) -> None:
-    model = assemble(jittered, material)
+def test_both_masses_sum_to_density_times_volume(jittered: TetMesh, material: Material, element: str) -> None:
+    model = assemble(jittered, material, element)
     mass = material.density * 2 * 1 * 1.5
     assert model.lumped_mass.sum() == pytest.approx(mass, rel=1e-13)
     assert model.consistent_mass.sum() == pytest.approx(mass, rel=1e-13)
     assert model.lumped_mass.min() > 0
 
 
-def test_consistent_mass_integrates_products_of_linear_functions_exactly(jittered: TetMesh) -> None:
-    x, z = jittered.nodes[:, 0], jittered.nodes[:, 2]
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_consistent_mass_integrates_products_of_linear_functions_exactly(jittered: TetMesh, element: str) -> None:
+    model = assemble(jittered, STEEL, element)
+    x, _, z = model.elements.nodes.T
     exact = STEEL.density * (2**2 / 2) * (0.5**2 / 2 - 1 / 2)  # rho * integral of x over [0, 2], 1 over [0, 1], z over [-1, 0.5]
-    assert x @ assemble(jittered, STEEL).consistent_mass @ z == pytest.approx(exact, rel=1e-12)
+    assert x @ model.consistent_mass @ z == pytest.approx(exact, rel=1e-12)
 
 
+@pytest.mark.parametrize("element", ELEMENTS)
 @pytest.mark.parametrize("poisson_ratio", [0.4, 0.499])
-def test_pressure_on_every_face_shrinks_the_solid_evenly(jittered: TetMesh, poisson_ratio: float) -> None:
+def test_pressure_on_every_face_shrinks_the_solid_evenly(jittered: TetMesh, poisson_ratio: float, element: str) -> None:
     material = Material(youngs_modulus=3e4, poisson_ratio=poisson_ratio, density=2.0)
     bulk_modulus = material.youngs_modulus / (3 * (1 - 2 * poisson_ratio))
     pressure = 120.0
-    patch = traction_on_patch(jittered, pressure, lambda points: np.ones(len(points), dtype=np.bool_))
-    exact = -pressure / (3 * bulk_modulus) * jittered.nodes
-    inner_force = (assemble(jittered, material).stiffness @ exact.ravel()).reshape(-1, 3)
+    model = assemble(jittered, material, element)
+    patch = traction_on_patch(model.elements, pressure, lambda points: np.ones(len(points), dtype=np.bool_))
+    exact = -pressure / (3 * bulk_modulus) * model.elements.nodes
+    inner_force = (model.stiffness @ exact.ravel()).reshape(-1, 3)
     np.testing.assert_allclose(inner_force, patch.nodal_force, rtol=0, atol=1e-10 * np.abs(patch.nodal_force).max())
     assert patch.area == pytest.approx(2 * (2 * 1 + 2 * 1.5 + 1 * 1.5), rel=1e-12)
     np.testing.assert_allclose(patch.resultant, 0, atol=1e-10 * pressure * patch.area)
 
 
-def test_a_body_force_sums_to_density_times_volume_about_the_centre(jittered: TetMesh) -> None:
-    density = np.array([1.0, -2.0, 3.0])
-    nodal_force = body_force(jittered, density)
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_a_body_force_sums_to_density_times_volume_about_the_centre(jittered: TetMesh, element: str) -> None:
+    density, elements = np.array([1.0, -2.0, 3.0]), finite_elements(jittered, element)
+    nodal_force = body_force(elements, density)
     np.testing.assert_allclose(nodal_force.sum(axis=0), density * 3.0, rtol=1e-12)
-    np.testing.assert_allclose(np.cross(jittered.nodes, nodal_force).sum(axis=0), np.cross([1.0, 0.5, -0.25], density * 3.0), rtol=1e-12)
+    np.testing.assert_allclose(np.cross(elements.nodes, nodal_force).sum(axis=0), np.cross([1.0, 0.5, -0.25], density * 3.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_a_body_force_that_varies_does_the_work_of_its_integral(jittered: TetMesh, element: str) -> None:
+    elements = finite_elements(jittered, element)
+    nodal_force = body_force(elements, lambda points: points[:, [2, 2, 0]] * [1.0, 0.0, 2.0])
+    work = (nodal_force * elements.nodes[:, [2, 0, 0]]).sum()
+    exact = (0.5**3 + 1) / 3 * 2 + 2 * 2**3 / 3 * 1.5  # integrals of z^2 and of 2 x^2 over [0, 2] x [0, 1] x [-1, 0.5]
+    assert work == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_a_stress_pushes_as_the_strain_that_would_cause_it(jittered: TetMesh, element: str) -> None:
+    model = assemble(jittered, MATERIAL_A, element)
+    strain = np.array([[0.1, 0.3, -0.2], [0.3, -0.4, 0.2], [-0.2, 0.2, 0.5]])
+    stress = MATERIAL_A.lame_lambda * np.trace(strain) * np.eye(3) + 2 * MATERIAL_A.lame_mu * strain
+    inner_force = (model.stiffness @ (model.elements.nodes @ strain).ravel()).reshape(-1, 3)
+    np.testing.assert_allclose(stress_load(model.elements, stress), inner_force, rtol=0, atol=1e-12 * np.abs(inner_force).max())
 
 
 def test_shape_gradients_differentiate_linear_functions(jittered: TetMesh) -> None:
@@ -111,7 +156,7 @@ def test_a_disc_of_pressure_sinks_into_a_half_space_as_in_theory(make_box: MakeB
     axis = np.concatenate([[0.0], np.cumsum(spacing)])
     mesh = make_box(axis, axis, -axis[::-1])
     patch = traction_on_patch(
-        mesh,
+        finite_elements(mesh),
         pressure,
         lambda points: (np.linalg.norm(points[:, :2], axis=1) <= radius) & (points[:, 2] > -1e-9),
         np.array([0.0, 0.0, -1.0]),

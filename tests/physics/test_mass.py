@@ -13,14 +13,14 @@ from sdfnet.scene import Material
 MakeBox = Callable[..., TetMesh]
 
 
-@pytest.fixture(scope="module")
-def model(make_box: MakeBox) -> ElasticModel:
-    return assemble(make_box(np.linspace(0, 1, 4), np.linspace(0, 1, 3), np.linspace(0, 2, 4), jitter=0.2), Material(density=7.0))
+@pytest.fixture(scope="module", params=["P1", "P2"])
+def model(make_box: MakeBox, request: pytest.FixtureRequest) -> ElasticModel:
+    return assemble(make_box([0, 0.5, 1], [0, 1], [0, 1, 2], jitter=0.2), Material(density=7.0), request.param)
 
 
 def constraints(model: ElasticModel) -> dict[str, np.ndarray]:
     """No component held, a foot, different nodes for each component, and one component held everywhere."""
-    nodes = model.mesh.nodes
+    nodes = model.elements.nodes
     free, foot, mixed, plane = (np.zeros((len(nodes), 3), dtype=np.bool_) for _ in range(4))
     foot[nodes[:, 2] == 0] = True
     mixed[nodes[:, 0] == 0, 0] = True
@@ -41,3 +41,4 @@ def test_product_and_solve_are_those_of_the_dense_restricted_matrix(model: Elast
     mass = mass_of(kind, model, fixed)
     np.testing.assert_allclose(mass.product(values), dense @ values, atol=1e-13 * dense.max())
     np.testing.assert_allclose(dense @ mass.solve(values), values, atol=1e-12)
+    np.testing.assert_allclose(mass.matrix().toarray(), dense, atol=1e-15 * dense.max())

@@ -11,16 +11,21 @@ from jaxtyping import Bool, Float64
 from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.body_force import BodyForce
+from sdfnet.physics.effects.history import History, ramp
 from sdfnet.physics.effects.pinned import Pinned
 from sdfnet.physics.effects.pressure_poke import PressurePoke
+from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
 from sdfnet.physics.effects.roles import AddsLoad, ConstrainsNodes, Load
 from sdfnet.physics.elasticity import ElasticModel
-from sdfnet.physics.plan import plan
+from sdfnet.physics.elements import FiniteElements
+from sdfnet.physics.plan import Plan, plan
+from sdfnet.physics.regions import HalfSpace
+from sdfnet.physics.stability import StepLimits
 from sdfnet.scene import Effect, Geometry, Material, Recording, Scene, Solver
 
 MakeBox = Callable[..., TetMesh]
 FOOT = Pinned()
-EVERYWHERE = Pinned(point=(0.0, 0.0, 9.0), components=(True, False, False), boundary_only=False)
+EVERYWHERE = Pinned(HalfSpace((0.0, 0.0, 9.0)), components=(True, False, False), boundary_only=False)
 PUSH = PressurePoke(center=(0.5, 0.5, 1.0), radius=0.2, pressure=10.0)
 
 
@@ -28,8 +33,8 @@ PUSH = PressurePoke(center=(0.5, 0.5, 1.0), radius=0.2, pressure=10.0)
 class Grip(ConstrainsNodes, AddsLoad):
     """As a user would write one: holds some nodes and pulls at others."""
 
-    def fixed_components(self, mesh: TetMesh) -> Bool[np.ndarray, "nodes 3"]:
-        return np.repeat(mesh.nodes[:, :1] == 0, 3, axis=1)
+    def fixed_components(self, elements: FiniteElements) -> Bool[np.ndarray, "nodes 3"]:
+        return np.repeat(elements.nodes[:, :1] == 0, 3, axis=1)
 
     def load(self, model: ElasticModel) -> Load:
         return Load(np.where(model.mesh.nodes[:, :1] == 1, [1.0, 0.0, 0.0], 0.0))
@@ -45,9 +50,14 @@ def scene_of(**effects: Effect) -> Scene:
     return Scene(Geometry(), effects, recording=Recording(duration=0.05, frames=6))
 
 
+def limits_of(compiled: Plan) -> StepLimits:
+    assert compiled.limits is not None
+    return compiled.limits
+
+
 def test_constraints_are_united_and_loads_added(cube: TetMesh) -> None:
     compiled = plan(scene_of(foot=FOOT, push=PUSH, grip=Grip()), cube)
-    np.testing.assert_array_equal(compiled.fixed, FOOT.fixed_components(cube) | Grip().fixed_components(cube))
+    np.testing.assert_array_equal(compiled.fixed, FOOT.fixed_components(compiled.model.elements) | Grip().fixed_components(compiled.model.elements))
     expected = PUSH.load(compiled.model).nodal_force + Grip().load(compiled.model).nodal_force
     np.testing.assert_array_equal(compiled.nodal_force, expected)
     assert compiled.report["push_loaded_area_m2"] == PUSH.load(compiled.model).report["loaded_area_m2"]
@@ -56,7 +66,7 @@ def test_constraints_are_united_and_loads_added(cube: TetMesh) -> None:
 def test_auto_takes_the_fewest_steps_that_stay_within_safety_times_the_true_limit(cube: TetMesh) -> None:
     for mass in ("lumped", "consistent"):
         compiled = plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(mass=mass, safety=0.8)), cube)
-        allowed = 0.8 * compiled.limits.of(mass)
+        allowed = 0.8 * limits_of(compiled).of(mass)
         assert compiled.time_step <= allowed
         assert 0.01 / (compiled.steps_per_frame - 1) > allowed
         assert compiled.steps == 5 * compiled.steps_per_frame
@@ -79,7 +89,7 @@ def test_a_given_step_is_shortened_to_a_whole_number_per_frame_and_that_is_said(
 
 
 def test_a_step_over_the_true_limit_is_refused_with_both_numbers_and_the_cure(cube: TetMesh) -> None:
-    limit = plan(scene_of(foot=FOOT, push=PUSH), cube).limits.lumped
+    limit = limits_of(plan(scene_of(foot=FOOT, push=PUSH), cube)).lumped
     message = f"time step {1.001 * limit:.4g} s exceeds the stable limit {limit:.4g} s of the lumped mass; lower solver.time_step or set it to auto"
     with pytest.raises(PhysicsError, match=f"^{message}$"):
         plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=1.001 * limit)), cube)
@@ -87,11 +97,55 @@ def test_a_step_over_the_true_limit_is_refused_with_both_numbers_and_the_cure(cu
 
 
 def test_the_limit_that_counts_is_that_of_the_mass_in_use(cube: TetMesh) -> None:
-    limits = plan(scene_of(foot=FOOT, push=PUSH), cube).limits
+    limits = limits_of(plan(scene_of(foot=FOOT, push=PUSH), cube))
     between = (limits.lumped + limits.consistent) / 2
     plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=between)), cube)
     with pytest.raises(PhysicsError, match="of the consistent mass"):
         plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver(time_step=between, mass="consistent")), cube)
+
+
+def test_damping_shortens_the_automatic_step_and_the_limit_of_a_given_one(cube: TetMesh) -> None:
+    damped = scene_of(foot=FOOT, push=PUSH, damping=RayleighDamping(stiffness=1e-3))
+    limits, plain = limits_of(plan(damped, cube)), limits_of(plan(scene_of(foot=FOOT, push=PUSH), cube))
+    assert limits.lumped == plain.lumped
+    assert limits.of("lumped") < 0.8 * plain.of("lumped")
+    assert plan(damped, cube).time_step <= 0.9 * limits.of("lumped")
+    with pytest.raises(PhysicsError, match=f"exceeds the stable limit {limits.of('lumped'):.4g} s of the lumped mass"):
+        plan(replace(damped, solver=Solver(time_step=0.99 * plain.lumped)), cube)
+
+
+def test_a_force_that_follows_the_state_shortens_the_step_by_its_stiffness(cube: TetMesh, on_springs: Callable[..., Effect]) -> None:
+    stiff = limits_of(plan(scene_of(foot=FOOT, push=PUSH, springs=on_springs(share=0.5)), cube))
+    assert stiff.lumped < 0.95 * limits_of(plan(scene_of(foot=FOOT, push=PUSH), cube)).lumped
+
+
+@pytest.mark.parametrize(("integrator", "steps_per_frame"), [("newmark", 10), ("modal", 1), ("exact", 1)])
+def test_methods_without_a_step_limit_take_a_part_of_a_frame_and_follow_a_load_over_time(cube: TetMesh, integrator: str, steps_per_frame: int) -> None:
+    constant, solver = scene_of(foot=FOOT, push=PUSH), Solver(integrator)
+    assert plan(replace(constant, solver=solver), cube).steps_per_frame == steps_per_frame
+    rising = replace(constant, effects={"foot": FOOT, "push": replace(PUSH, history=History((0.0, 0.002, 0.004), (0.0, 1.0, 0.5)))})
+    assert plan(replace(rising, solver=solver), cube).time_step == pytest.approx(0.002 / 4, rel=1e-12)
+    assert plan(replace(rising, solver=replace(solver, time_step=0.005)), cube).steps_per_frame == 2  # as asked
+
+
+def test_the_plan_says_what_a_step_computes(cube: TetMesh, on_springs: Callable[..., Effect]) -> None:
+    effects = {"foot": FOOT, "push": replace(PUSH, history=ramp(0.01)), "damping": RayleighDamping(1.0, 1e-5), "springs": on_springs()}
+    text = plan(scene_of(**effects), cube).describe()
+    assert "leapfrog: a sparse product, 1 loads scaled over time, two scalings for damping, the force of springs" in text
+    assert "push: PressurePoke adds a load over time from 0 to 0.01 s (loaded_area_m2 0.12" in text
+    assert "damping: RayleighDamping damps with C = 1/s M + 1e-05 s K" in text
+    assert "springs: OnSprings needs a new force at every step" in text
+    implicit = plan(replace(scene_of(foot=FOOT, push=PUSH), solver=Solver("newmark", element="P2", mass="consistent")), cube).describe()
+    assert "newmark: a sparse product, a solve with the factor of M + h/2 C + h^2/4 K" in implicit
+    assert "P2 elements" in implicit
+    assert "step limits" not in implicit
+    assert "mass consistent" in implicit
+
+
+def test_an_integrator_that_cannot_do_what_the_scene_needs_is_refused_before_the_first_step(cube: TetMesh) -> None:
+    scene = replace(scene_of(foot=FOOT, push=PUSH, damping=RayleighDamping(1.0)), solver=Solver("exact"))
+    with pytest.raises(ConfigurationError, match="solver.integrator=exact cannot integrate damping, which this scene has; set solver.integrator=leapfrog"):
+        plan(scene, cube).compile()
 
 
 def test_the_plan_can_be_read(cube: TetMesh) -> None:
@@ -109,7 +163,7 @@ def test_the_plan_can_be_read(cube: TetMesh) -> None:
     ("effects", "message"),
     [
         ({"odd": Effect()}, "effect 'odd' .Effect. asks nothing of the simulator; derive it from a role"),
-        ({"foot": FOOT, "poke": PressurePoke(center=(0.5, 0.5, 0.0), radius=0.1)}, "the load must reach a node that is free to move"),
+        ({"foot": FOOT, "poke": PressurePoke(center=(0.5, 0.5, 0.0), radius=0.1)}, "the load 'poke' must reach a node that is free to move"),
         (
             {"a": replace(EVERYWHERE, components=(True, True, False)), "b": replace(EVERYWHERE, components=(False, False, True))},
             "found every component of every node fixed; pin less",
@@ -126,7 +180,11 @@ def test_scenes_in_which_nothing_could_happen_are_refused(cube: TetMesh, effects
     [
         ({"foot": FOOT}, Material(), "nothing loads the solid"),
         ({"push": PUSH}, Material(), "nothing holds the solid: it flies freely"),
-        ({"foot": FOOT, "push": PUSH}, Material(poisson_ratio=0.46), "linear tets lock"),
+        (
+            {"foot": FOOT, "push": PUSH},
+            Material(poisson_ratio=0.46),
+            "linear tets lock and the solid will look too stiff; set solver.element=P1_nodal_pressure",
+        ),
         ({"foot": FOOT, "push": replace(PUSH, pressure=4000.0)}, Material(), "the load is 0.8 of Young's modulus"),
         ({"foot": FOOT, "weight": BodyForce(density=(0.0, 0.0, -600.0))}, Material(), "the load is 0.21 of Young's modulus"),
     ],
@@ -138,6 +196,16 @@ def test_a_doubtful_scene_runs_with_one_warning(
         plan(replace(scene_of(**effects), material=material), cube)
     assert len(caplog.messages) == 1
     assert message in caplog.messages[0]
+
+
+@pytest.mark.parametrize(("element", "poisson_ratio", "warns"), [("P1_nodal_pressure", 0.4999, False), ("P2", 0.49, False), ("P2", 0.4995, True)])
+def test_only_elements_that_lock_warn_of_it(make_box: MakeBox, caplog: pytest.LogCaptureFixture, element: str, poisson_ratio: float, warns: bool) -> None:
+    with caplog.at_level(logging.WARNING, logger="sdfnet.physics.plan"):
+        plan(
+            replace(scene_of(foot=FOOT, push=PUSH), material=Material(poisson_ratio=poisson_ratio), solver=Solver(element=element)),
+            make_box([0, 1], [0, 1], [0, 1]),
+        )
+    assert ["quadratic tets lock" in message for message in caplog.messages] == ([True] if warns else [])
 
 
 def test_an_absent_effect_is_never_called(cube: TetMesh, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,10 +32,12 @@ from sdfnet.evaluation.report import result_of, table_of, write_report
 from sdfnet.geometry.bunny import beside_table_1
 from sdfnet.geometry.solids import ClosedSurface
 from sdfnet.models.networks import RECORD, Networks, load_networks, read_checkpoint
+from sdfnet.physics.advisor import advise
+from sdfnet.physics.advisor import lines as advice_lines
 from sdfnet.physics.plan import plan
 from sdfnet.physics.step_study import time_step_study
 from sdfnet.physics.trajectory import Trajectory
-from sdfnet.training.checkpoints import TimedCheckpoint
+from sdfnet.training.checkpoints import TimedCheckpoint, require_same_run, save_checkpoint
 from sdfnet.training.losses import one_minus_cosine
 from sdfnet.training.module import SdfTraining
 
@@ -49,17 +51,17 @@ def train(settings: TrainSettings, output: Path) -> float:
     keep_freed_memory()
     if settings.trainer.threads is not None:
         torch.set_num_threads(settings.trainer.threads)
-    settings.evaluation.require_frames(settings.dataset.scene.recording.frames)
-    if settings.resume is not None:
-        _require_same_model(Path(settings.resume), settings)
+    settings.evaluation.require_frames(settings.dataset.scene.frame_count)
     seed_everything(settings.seed, verbose=False)
     family = ShapeFamily(settings.dataset, Path(settings.data_folder), settings.batch, settings.split, settings.seed)
     module = SdfTraining(family, settings.model, settings.training, settings.optimizer)
+    if settings.resume is not None:  # asked again with the names of the files, once they are made
+        require_same_run(read_checkpoint(Path(settings.resume))[RECORD], module.identity())
     board = TensorBoardLogger(output, name="", version="tensorboard")
     trainer = _trainer(settings, output, board)
     with _steps_need_no_workers():
         trainer.fit(module, datamodule=family, ckpt_path=settings.resume, weights_only=True)
-    trainer.save_checkpoint(output / "checkpoints" / "last.ckpt")
+    save_checkpoint(trainer, output / "checkpoints" / "last.ckpt")
     family.to(torch.device("cpu"))
     seconds = {**family.files.seconds, "prepare": sum(family.files.seconds.values()), "train": module.train_seconds}
     # The same settings have the same hash wherever and however often they are run.
@@ -77,16 +79,20 @@ def train(settings: TrainSettings, output: Path) -> float:
 
 
 def prepare(settings: PrepareSettings, output: Path) -> None:
-    """Make the data that are missing, and print what was made; with plan_only make no more than the mesh."""
+    """Make the data that are missing, and print plan, advice and what was made; with plan_only make no more than the mesh."""
     folder, scene = Path(settings.data_folder), settings.dataset.scene
     files = None if settings.plan_only else prepare_files(settings.dataset, folder)
     mesh = prepare_mesh(settings.dataset, folder)
     console = Console(highlight=False, soft_wrap=True)
     if isinstance(scene.geometry, ClosedSurface) and scene.geometry.path is None:
         console.print(beside_table_1(mesh.nodes))
-    console.print(plan(scene, mesh).describe())
+    compiled = plan(scene, mesh)
+    console.print(compiled.describe())
+    console.print("\n".join(["advice", *(f"  {line}" for line in advice_lines(advise(compiled)))]))
     if files is not None:
-        console.print("\n".join(f"{name}: {value}" for name, value in read_trajectory(files.trajectory).report.items()))
+        report = read_trajectory(files.trajectory).report
+        console.print("\n".join(f"{name}: {value}" for name, value in report.items()))
+        console.print(f"the steps took {float(report['step_seconds']):.2g} s, of which the plan above predicts how long they would take now")
         for what, path in (("tet mesh", files.mesh), ("simulation", files.trajectory), ("signed distances", files.distances)):
             console.print(f"{what}: {path} ({'made' if what in files.built else 'was there'}, {files.seconds[what]:.1f} s)")
 
@@ -95,6 +101,8 @@ def evaluate(settings: EvaluateSettings, output: Path) -> float:
     """Measure a checkpoint on the prepared data that it was trained on."""
     checkpoint = Path(settings.checkpoint)
     record = read_checkpoint(checkpoint)[RECORD]
+    if "trajectory" not in record:
+        raise TrainingError(f"'{checkpoint}' was trained on arrays at hand, not on prepared files; measure it there with sdfnet.evaluation.evaluate")
     networks, folder = load_networks(checkpoint), Path(settings.data_folder)
     trajectory, samples = read_trajectory(folder / record["trajectory"]), read_distances(folder / record["distances"])
     run = {"checkpoint": str(checkpoint), "configuration": key_of(record), "settings": described(record)}
@@ -108,7 +116,8 @@ def cost(settings: CostSettings, output: Path) -> None:
     if settings.measure in ("all", "step"):
         scene = settings.dataset.scene
         mesh = prepare_mesh(settings.dataset, Path(settings.data_folder))
-        console.print("\n".join(["step limits", *plan(scene, mesh).limits.lines()]))
+        limits = plan(scene, mesh).limits
+        console.print("\n".join(["step limits", *(["none: this integrator has no stability limit"] if limits is None else limits.lines())]))
         study = time_step_study(scene, mesh, settings.duration)
         console.print("\n".join(["", "time step: error against a tenth of the step, same mass", *study.lines()]))
         findings["step"] = described(study)
@@ -215,14 +224,6 @@ def _steps_need_no_workers() -> Iterator[None]:
         warnings.filterwarnings("ignore", message=".*your dataloader is not resumable.*")  # nor anything to resume: a step is a pure function of its number
         warnings.filterwarnings("ignore", message=".*LeafSpec.*")  # inside Lightning 2.6
         yield
-
-
-def _require_same_model(checkpoint: Path, settings: TrainSettings) -> None:
-    """Raise TrainingError when a run is resumed with networks of another shape."""
-    saved, asked = read_checkpoint(checkpoint)[RECORD]["model"], vars(settings.model)
-    different = [f"{name} {saved[name]} there, {asked[name]} here" for name in asked if saved.get(name) != asked[name]]
-    if different:
-        raise TrainingError(f"'{checkpoint}' is of another model: {'; '.join(different)}; resume with the same model settings")
 
 
 def _write_board(board: TensorBoardLogger, networks: Networks, family: ShapeFamily, evaluation: Evaluation, result: Mapping[str, Any]) -> None:

@@ -1,6 +1,7 @@
 """From the command line to a command: Hydra composes the settings, and a user's mistake becomes one clear message."""
 
 import difflib
+import importlib
 import logging
 import sys
 from collections.abc import Callable
@@ -17,13 +18,20 @@ from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings
+from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings, VerifySettings
 from sdfnet.errors import ConfigurationError, SdfnetError
-from sdfnet.plugins import find_datasets, frozen, register_datasets, shipped, writable
+from sdfnet.plugins import find_datasets, find_effects, frozen, register_datasets, register_effects, shipped, writable
 
 Command = Callable[[Any, Path], float | None]
 
-SCHEMAS: dict[str, type] = {"train": TrainSettings, "prepare": PrepareSettings, "evaluate": EvaluateSettings, "cost": CostSettings}
+SCHEMAS: dict[str, type] = {
+    "train": TrainSettings,
+    "prepare": PrepareSettings,
+    "evaluate": EvaluateSettings,
+    "cost": CostSettings,
+    "verify": VerifySettings,
+}
+HOMES = {"verify": "sdfnet.cli.verification"}  # where a command's function is; the others are in commands.py
 
 
 def train() -> None:
@@ -46,20 +54,25 @@ def cost() -> None:
     _main("cost")
 
 
+def verify() -> None:
+    """python verify.py: the reference cases beside their exact answers."""
+    _main("verify")
+
+
 def register() -> None:
-    """Put the schemas and all datasets into Hydra's config store. Raises ConfigurationError for a broken plugin."""
+    """Put the schemas, all datasets and all effects into Hydra's config store. Raises ConfigurationError for a broken plugin."""
     for name, schema in SCHEMAS.items():
         ConfigStore.instance().store(name=f"{name}_schema", node=writable(schema), provider="sdfnet")
     register_datasets(find_datasets())
+    register_effects(find_effects())
 
 
 def _main(name: str) -> None:
     def job(config: DictConfig) -> float | None:
-        from sdfnet.cli import commands  # late: composing and its errors do not wait for PyTorch
-
+        home = importlib.import_module(HOMES.get(name, "sdfnet.cli.commands"))  # late: composing and its errors do not wait for Lightning
         for chatty in ("skfem", "lightning.pytorch"):
             logging.getLogger(chatty).setLevel(logging.WARNING)
-        command: Command = getattr(commands, name)
+        command: Command = getattr(home, name)
         try:
             return command(frozen(config), Path(HydraConfig.get().runtime.output_dir))
         except SdfnetError as error:

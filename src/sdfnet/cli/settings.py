@@ -11,6 +11,9 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.evaluate import EvaluationSettings
 from sdfnet.models.settings import ModelSettings
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
+from sdfnet.verification import CASES
+
+ALL_CASES = "all"
 
 
 @dataclass(frozen=True)
@@ -89,3 +92,14 @@ class CostSettings:
     def __post_init__(self) -> None:
         if self.measure not in ("all", "step", "throughput"):
             raise ConfigurationError(f"measure must be one of all, step, throughput; found '{self.measure}'")
+
+
+@dataclass(frozen=True)
+class VerifySettings:
+    """python verify.py"""
+
+    case: str = ALL_CASES  # or the name of one reference case
+
+    def __post_init__(self) -> None:
+        if self.case not in (ALL_CASES, *CASES):
+            raise ConfigurationError(f"case must be one of {', '.join((ALL_CASES, *CASES))}; found '{self.case}'")

@@ -69,7 +69,7 @@ class ShapeFamily(LightningDataModule):
     def __init__(self, dataset: Dataset, folder: Path, batch: BatchSettings, split: str = "all", seed: int = 0) -> None:
         super().__init__()
         self._source: tuple[Dataset, Path] | None = (dataset, folder)
-        self._choose(dataset.scene.recording.frames, dataset.sampling.near_surface_count, batch, split, seed)
+        self._choose(dataset.scene.frame_count, dataset.sampling.near_surface_count, batch, split, seed)
 
     @classmethod
     def of(cls, trajectory: Trajectory, samples: DistanceSamples, batch: BatchSettings, split: str = "all", seed: int = 0) -> "ShapeFamily":

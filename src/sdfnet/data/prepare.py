@@ -8,8 +8,9 @@ A lock per file lets two runs at once build it once.
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from jaxtyping import Float32, Float64, Int64
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sdfnet.data.sampling import box_points, keep_per_frame, near_surface_points, sampling_box
+from sdfnet.data.snapshot import run_resumably
 from sdfnet.data.store import (
     DistanceSamples,
     described,
@@ -31,18 +33,23 @@ from sdfnet.data.store import (
     write_mesh,
     write_trajectory,
 )
-from sdfnet.errors import ConfigurationError
+from sdfnet.errors import ConfigurationError, GeometryError
 from sdfnet.geometry.distance import SurfaceDistance
 from sdfnet.geometry.solids import MeshedGeometry
 from sdfnet.geometry.surface import Surface
 from sdfnet.geometry.tetmesh import TetMesh
-from sdfnet.physics.simulate import simulate
+from sdfnet.geometry.winding import sign_disagreements
+from sdfnet.physics.frame_checks import frame_checks
+from sdfnet.physics.plan import plan
 from sdfnet.physics.trajectory import Trajectory
-from sdfnet.scene import Dataset, Sampling
+from sdfnet.scene import Dataset, Sampling, Scene
 
 logger = logging.getLogger(__name__)
 
 Report = Callable[[int, int], None]  # done, total
+
+SIGNS_ASKED = 64  # per frame and kind of point: each asks every face, together they cost a twentieth of the distances
+SIGN_TOLERANCE = 0.01  # of the signs asked; overlaps of a surface with itself are thin, a wrong orientation turns half of them
 
 
 @dataclass(frozen=True)
@@ -66,7 +73,7 @@ def prepare(dataset: Dataset, folder: Path, device: str = "cpu") -> PreparedFile
         mesh_path = _mesh_file(dataset, folder, stages)
         mesh = read_mesh(mesh_path)
         scene = dataset.scene
-        trajectory_path = folder / f"trajectory-{key_of(mesh.digest, scene.effects, scene.material, scene.recording, scene.solver)}.h5"
+        trajectory_path = folder / f"trajectory-{key_of(mesh.digest, *_simulated(scene))}.h5"
         stages.run("simulation", trajectory_path, lambda report: _make_trajectory(trajectory_path, dataset, mesh, report))
         distances_path = folder / f"distances-{key_of(trajectory_path.stem, dataset.sampling)}.h5"
         stages.run("signed distances", distances_path, lambda report: _make_distances(distances_path, trajectory_path, dataset.sampling, device, report))
@@ -75,6 +82,11 @@ def prepare(dataset: Dataset, folder: Path, device: str = "cpu") -> PreparedFile
     made = {"tet mesh": read_mesh_provenance(mesh_path), "simulation": read_provenance(trajectory_path), "signed distances": read_provenance(distances_path)}
     seconds = {what: float(provenance["seconds"]) for what, provenance in made.items()}
     return PreparedFiles(mesh_path, trajectory_path, distances_path, tuple(stages.built), seconds)
+
+
+def _simulated(scene: Scene) -> tuple[Any, ...]:
+    """All of a scene that a trajectory depends on besides its mesh."""
+    return scene.effects, scene.load_cases, scene.material, scene.recording, scene.solver
 
 
 def prepare_mesh(dataset: Dataset, folder: Path) -> TetMesh:
@@ -125,8 +137,9 @@ def _make_mesh(path: Path, geometry: MeshedGeometry) -> None:
 
 def _make_trajectory(path: Path, dataset: Dataset, mesh: TetMesh, report: Report) -> None:
     began = time.perf_counter()
-    trajectory = simulate(dataset.scene, mesh, report)
-    write_trajectory(path, trajectory, {"scene": described(dataset.scene), "mesh": mesh.digest, "seconds": time.perf_counter() - began})
+    trajectory = run_resumably(plan(dataset.scene, mesh), path.with_name(f".{path.stem}.snapshot"), report)
+    provenance = {"scene": described(dataset.scene), "mesh": mesh.digest}
+    write_trajectory(path, replace(trajectory, checks=frame_checks(trajectory)), provenance | {"seconds": time.perf_counter() - began})
 
 
 def _make_distances(path: Path, trajectory_path: Path, sampling: Sampling, device: str, report: Report) -> None:
@@ -137,8 +150,15 @@ def _make_distances(path: Path, trajectory_path: Path, sampling: Sampling, devic
 
 
 def sample_distances(trajectory: Trajectory, sampling: Sampling, device: str = "cpu", report: Report | None = None) -> DistanceSamples:
-    """The signed distances of every frame at points shared by all (paper section 3). `report(done, total)` after each frame."""
+    """The signed distances of every frame at points shared by all (paper section 3). `report(done, total)` after each frame.
+
+    Raises GeometryError when frames are broken and `sampling.broken_frames` is refuse, and when more signs contradict
+    the winding number than `SIGN_TOLERANCE`.
+    """
     mesh = trajectory.mesh
+    checks = frame_checks(trajectory) if trajectory.checks is None else trajectory.checks
+    if checks.broken and sampling.broken_frames == "refuse":
+        raise GeometryError(f"every frame must be whole, found that {checks.sentence()}; weaken the load, or accept them with sampling.broken_frames=keep")
     vertices = trajectory.surface_vertices
     box = sampling_box(vertices, sampling.box_scale)
     points = box_points(box, sampling)
@@ -148,7 +168,26 @@ def sample_distances(trajectory: Trajectory, sampling: Sampling, device: str = "
     near_distances = deforming_distances(
         near_points, vertices, mesh.surface_faces, device, lambda frame: report(len(vertices) + frame, total) if report else None
     )
+    for place, asked, found in (("box", points, distances), ("near-surface", near_points, near_distances)):
+        _check_signs(trajectory, place, asked, found, sampling.seed)
     return DistanceSamples(box, points, distances, keep_per_frame(distances, sampling), near_points, near_distances)
+
+
+def _check_signs(
+    trajectory: Trajectory, place: str, points: Float32[np.ndarray, "points 3"], distances: Float32[np.ndarray, "frames points"], seed: int
+) -> None:
+    """Compare a few signs of every frame with winding numbers. Warns of any that disagree, raises GeometryError when they are many."""
+    if len(points) == 0:
+        return
+    asked = np.random.default_rng(seed).integers(len(points), size=SIGNS_ASKED)
+    wrong = [sign_disagreements(points[asked], found[asked], trajectory.surface(frame)) for frame, found in enumerate(distances)]
+    if not any(wrong):
+        return
+    total = len(wrong) * SIGNS_ASKED
+    message = f"{sum(wrong)} of {total} signs of distances in the {place} points contradict the winding number, most in frame {int(np.argmax(wrong))}"
+    if sum(wrong) > SIGN_TOLERANCE * total:
+        raise GeometryError(f"{message}; at most {100 * SIGN_TOLERANCE:g} % may: the surface crosses itself there, weaken the load")
+    logger.warning("%s", message)
 
 
 def deforming_distances(

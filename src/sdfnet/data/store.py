@@ -8,6 +8,7 @@ import errno
 import importlib.metadata
 import inspect
 import json
+import math
 import os
 import shutil
 import zlib
@@ -24,12 +25,13 @@ import meshio
 import numpy as np
 from jaxtyping import Float32, Float64, Int32
 
+from sdfnet.data.patient_file import PatientFile
 from sdfnet.data.sampling import SamplingBox
 from sdfnet.errors import GeometryError, StoreError
 from sdfnet.geometry.tetmesh import TetMesh
-from sdfnet.physics.trajectory import Trajectory
+from sdfnet.physics.trajectory import FrameChecks, Trajectory
 
-FORMAT_VERSION = 1  # raised when the meaning of a file changes; part of every name
+FORMAT_VERSION = 2  # raised when the meaning of a file changes; part of every name
 RECORDED_PACKAGES = ("sdfnet", "torch", "lightning", "pytorch_optimizer", "hydra-core", "numpy", "scikit-fem", "pytetwild", "warp-lang", "scikit-image", "h5py")
 
 
@@ -57,7 +59,7 @@ def described(settings: Any) -> Any:
         return {str(key): described(value) for key, value in settings.items()}
     if isinstance(settings, list | tuple):
         return [described(value) for value in settings]
-    return settings
+    return str(settings) if isinstance(settings, float) and not math.isfinite(settings) else settings  # JSON has no infinity
 
 
 def key_of(*parts: Any) -> str:
@@ -121,27 +123,32 @@ def read_mesh_provenance(path: Path) -> dict[str, Any]:
 def write_trajectory(path: Path, trajectory: Trajectory, provenance: Mapping[str, Any]) -> None:
     """Write a trajectory as HDF5 with an .xdmf beside it that ParaView opens as an animation."""
     size = trajectory.displacements.nbytes + trajectory.mesh.nodes.nbytes + trajectory.mesh.tets.nbytes
-    with _new_file(path, "trajectory", provenance, size) as file, written_whole(path.with_suffix(".xdmf")) as unfinished:
+    # The .xdmf takes its place last: without its arrays it would be worth nothing.
+    with written_whole(path.with_suffix(".xdmf")) as unfinished, new_file(path, "trajectory", provenance, size) as file:
         _put(file, "nodes", trajectory.mesh.nodes, "m")
         _put(file, "tets", trajectory.mesh.tets, "node index")
         _put(file, "times", trajectory.times, "s")
         _put(file, "displacements", trajectory.displacements, "m")
         file.attrs["time_step_s"] = trajectory.time_step
-        file.attrs["report"] = json.dumps(trajectory.report)
+        file.attrs["report"], file.attrs["cases"] = json.dumps(trajectory.report), json.dumps(trajectory.cases)
+        if trajectory.checks is not None:
+            _put(file, "inverted_tets", trajectory.checks.inverted_tets, "tets per frame")
+            _put(file, "crossing_faces", trajectory.checks.crossing_faces, "pairs of faces per frame")
         _xdmf(path.name, trajectory).write(unfinished, xml_declaration=True, encoding="utf-8")
 
 
 def read_trajectory(path: Path) -> Trajectory:
     """Read what `write_trajectory` wrote. Raises StoreError."""
-    with _known_file(path, "trajectory") as file:
-        mesh = TetMesh(file["nodes"][:], file["tets"][:])
-        return Trajectory(mesh, file["times"][:], file["displacements"][:], float(file.attrs["time_step_s"]), json.loads(file.attrs["report"]))
+    with known_file(path, "trajectory") as file:
+        mesh, report, cases = TetMesh(file["nodes"][:], file["tets"][:]), json.loads(file.attrs["report"]), tuple(json.loads(file.attrs["cases"]))
+        checks = FrameChecks(file["inverted_tets"][:], file["crossing_faces"][:]) if "inverted_tets" in file else None
+        return Trajectory(mesh, file["times"][:], file["displacements"][:], float(file.attrs["time_step_s"]), report, cases, checks)
 
 
 def write_distances(path: Path, samples: DistanceSamples, provenance: Mapping[str, Any]) -> None:
     """Write a set of distances as HDF5."""
     size = samples.distances.nbytes + samples.near_distances.nbytes + samples.points.nbytes + samples.near_points.nbytes + samples.kept.nbytes
-    with _new_file(path, "distances", provenance, size) as file:
+    with new_file(path, "distances", provenance, size) as file:
         _put(file, "box", np.stack([samples.box.lower, samples.box.upper]), "m")
         _put(file, "points", samples.points, "m")
         _put(file, "distances", samples.distances, "m, negative inside")
@@ -152,7 +159,7 @@ def write_distances(path: Path, samples: DistanceSamples, provenance: Mapping[st
 
 def read_distances(path: Path) -> DistanceSamples:
     """Read what `write_distances` wrote. Raises StoreError."""
-    with _known_file(path, "distances") as file:
+    with known_file(path, "distances") as file:
         return DistanceSamples(
             SamplingBox(*file["box"][:]), file["points"][:], file["distances"][:], file["kept"][:], file["near_points"][:], file["near_distances"][:]
         )
@@ -160,18 +167,25 @@ def read_distances(path: Path) -> DistanceSamples:
 
 def read_provenance(path: Path) -> dict[str, Any]:
     """The settings, versions and seconds recorded in one of sdfnet's HDF5 files. Raises StoreError."""
-    with _known_file(path, None) as file:
+    with known_file(path, None) as file:
         return dict(json.loads(file.attrs["provenance"]))
 
 
 @contextmanager
-def _new_file(path: Path, kind: str, provenance: Mapping[str, Any], size: int) -> Iterator[h5py.File]:
+def new_file(path: Path, kind: str, provenance: Mapping[str, Any], size: int) -> Iterator[h5py.File]:
+    """An HDF5 file of sdfnet to write `size` bytes to, moved to `path` when whole. Raises StoreError."""
     with written_whole(path) as unfinished:
         free = shutil.disk_usage(path.parent).free
-        if free < size:  # asked before, for HDF5 cannot close a file on a full disk
+        if free < size:  # asked before, so that nobody waits for what cannot be
             raise OSError(errno.ENOSPC, f"{size / 1e6:.3g} MB are needed, {free / 1e6:.3g} MB are free")
-        with h5py.File(unfinished, "w") as file:
-            yield _labelled(file, kind, provenance)
+        with PatientFile(unfinished, "w+") as disk:
+            try:
+                with h5py.File(disk, "w") as file:
+                    yield _labelled(file, kind, provenance)
+            except RuntimeError as error:  # h5py's when HDF5 cannot flush or close
+                raise disk.error or OSError(errno.EIO, str(error)) from error
+            if disk.error is not None:
+                raise disk.error
 
 
 def _labelled(file: h5py.File, kind: str, provenance: Mapping[str, Any]) -> h5py.File:
@@ -180,7 +194,8 @@ def _labelled(file: h5py.File, kind: str, provenance: Mapping[str, Any]) -> h5py
 
 
 @contextmanager
-def _known_file(path: Path, kind: str | None) -> Iterator[h5py.File]:
+def known_file(path: Path, kind: str | None) -> Iterator[h5py.File]:
+    """An HDF5 file of sdfnet to read, of that kind unless None. Raises StoreError when it is not one."""
     cure = "delete it and it is made again"
     try:
         with h5py.File(path, "r") as file:
@@ -193,7 +208,7 @@ def _known_file(path: Path, kind: str | None) -> Iterator[h5py.File]:
             yield file
     except FileNotFoundError as error:
         raise StoreError(f"no file at '{path}'; run prepare.py first") from error
-    except (OSError, KeyError) as error:
+    except (OSError, KeyError, RuntimeError, ValueError, GeometryError) as error:  # what h5py, json and a mesh say of contents that are not whole
         raise StoreError(f"'{path}' is truncated or not an HDF5 file of sdfnet ({error}); {cure}") from error
 
 
@@ -211,7 +226,7 @@ def _put(file: h5py.File, name: str, values: Float64[np.ndarray, "..."] | np.nda
 
 
 def _xdmf(file_name: str, trajectory: Trajectory) -> ElementTree.ElementTree:
-    """One grid per frame, all reading the same nodes and tets from the HDF5 file."""
+    """One grid per frame, all reading the same nodes and tets from the HDF5 file; load cases are played one after the other."""
     frames, nodes, _ = trajectory.displacements.shape
     root = ElementTree.Element("Xdmf", Version="3.0")
     series = ElementTree.SubElement(ElementTree.SubElement(root, "Domain"), "Grid", Name="trajectory", GridType="Collection", CollectionType="Temporal")
@@ -220,7 +235,7 @@ def _xdmf(file_name: str, trajectory: Trajectory) -> ElementTree.ElementTree:
         precision = {"Float": "8", "Int": "8"}[number]
         ElementTree.SubElement(parent, "DataItem", Dimensions=dimensions, NumberType=number, Precision=precision, Format="HDF").text = text
 
-    for frame, moment in enumerate(trajectory.times):
+    for frame, moment in enumerate(np.arange(frames) * trajectory.times[1] if trajectory.cases else trajectory.times):
         grid = ElementTree.SubElement(series, "Grid", Name="solid")
         ElementTree.SubElement(grid, "Time", Value=f"{moment:.9g}")
         tets = len(trajectory.mesh.tets)

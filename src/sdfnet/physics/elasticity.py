@@ -4,114 +4,150 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
-from scipy.sparse import csr_matrix
-from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, MeshTet
+from jaxtyping import Float64
+from scipy.sparse import coo_matrix, csr_matrix, diags
+from skfem import Basis, BilinearForm, Element, ElementTetP1, ElementTetP2, ElementVector, LinearForm, MeshTet
+from skfem.helpers import ddot, dot, grad
 from skfem.models.elasticity import linear_elasticity
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.elements import MIDDLE_ENDS, FiniteElements
 from sdfnet.scene import Material
 
-PATCH_QUADRATURE_ORDER = 19  # the highest that scikit-fem has for triangles, 73 points
-PATCH_SPLIT = 4  # parts of a face's edge: with the paper's patch of 3 mm on faces of 5 mm its area errs by 0.2 %, unsplit by 1.6 %
-FACES_AT_ONCE = 2048  # bounds the memory for quadrature points to some 100 MB
+Field = Callable[[Float64[np.ndarray, "points 3"]], Float64[np.ndarray, "points 3"]]
+
+CORNER_SHARE, MIDDLE_SHARE = 1 / 36, 4 / 27  # of a quadratic tet's mass (Hinton, Rock and Zienkiewicz): its row sums would be negative at the corners
+FIELD_QUADRATURE_ORDER = 6  # for fields that are no polynomials: a load that is smooth on the scale of a tet errs by far less than the elements do
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticModel:
-    """The matrices of the paper's weak form, before any constraint.
+    """The matrices of the paper's weak form, before any constraint. Every component has the same scalar mass matrix."""
 
-    Degree of freedom 3 * node + component. Linear tets (P1): the mass of every component is the same scalar matrix.
-    """
-
-    mesh: TetMesh
+    elements: FiniteElements
     material: Material
     stiffness: csr_matrix  # (3 nodes, 3 nodes) N/m: integral of sigma(u) : epsilon(v)
     consistent_mass: csr_matrix  # (nodes, nodes) kg: integral of rho u v for one component, the paper's
-    lumped_mass: Float64[np.ndarray, " nodes"]  # kg: its row sums, a quarter of each tet to each corner
-
-
-@dataclass(frozen=True, eq=False)
-class PatchTraction:
-    """What a traction on a part of the surface amounts to."""
-
-    nodal_force: Float64[np.ndarray, "nodes 3"]  # N
-    area: float  # m^2, really loaded
+    lumped_mass: Float64[np.ndarray, " nodes"]  # kg: P1 its row sums, P2 each tet's by HRZ
 
     @property
-    def resultant(self) -> Float64[np.ndarray, "3"]:
-        """Sum of the nodal forces, N."""
-        total: np.ndarray = self.nodal_force.sum(axis=0)
-        return total
+    def mesh(self) -> TetMesh:
+        """The tet mesh at rest."""
+        return self.elements.mesh
 
 
-def assemble(mesh: TetMesh, material: Material) -> ElasticModel:
-    """Stiffness and mass of the solid with linear tets, in float64.
+def finite_elements(mesh: TetMesh, element: str = "P1") -> FiniteElements:
+    """The nodes of a displacement: P1 linear, P1_nodal_pressure linear with the pressure averaged over nodes, P2 quadratic."""
+    if element != "P2":
+        return FiniteElements(mesh, element, mesh.nodes, mesh.tets)
+    tets = Basis(_skfem(mesh), ElementTetP2()).element_dofs.T.astype(np.int64)
+    nodes = np.empty((tets.max() + 1, 3))
+    nodes[: len(mesh.nodes)] = mesh.nodes
+    for local, ends in enumerate(MIDDLE_ENDS, start=4):  # not scikit-fem's places: those are off by rounding, and a plane would miss them
+        nodes[tets[:, local]] = mesh.nodes[mesh.tets[:, ends]].mean(axis=1)
+    return FiniteElements(mesh, element, nodes, tets)
+
+
+def assemble(mesh: TetMesh, material: Material, element: str = "P1") -> ElasticModel:
+    """Stiffness and mass of the solid, in float64.
 
     sigma(u) = lambda div(u) I + 2 mu epsilon(u). Linear tets lock when the material hardly changes its volume (Poisson
-    ratio over 0.45) and are stiff in bending. Raises GeometryError when a node belongs to no tet: it would have no mass.
+    ratio over 0.45) and are stiff in bending; P1_nodal_pressure cures the first, P2 both. Raises GeometryError when a
+    node belongs to no tet: it would have no mass.
     """
     lonely = np.setdiff1d(np.arange(len(mesh.nodes)), mesh.tets)
     if len(lonely):
         raise GeometryError(f"every node must belong to a tet, found {len(lonely)} that do not, the first at index {lonely[0]}; remove them")
-    skfem_mesh = MeshTet(np.ascontiguousarray(mesh.nodes.T), np.ascontiguousarray(mesh.tets.T))
-    element = ElementTetP1()
-    stiffness = linear_elasticity(material.lame_lambda, material.lame_mu).assemble(Basis(skfem_mesh, ElementVector(element)))
-    consistent_mass = BilinearForm(lambda u, v, _: material.density * u * v).assemble(Basis(skfem_mesh, element))
-    lumped_mass = np.asarray(consistent_mass.sum(axis=1)).ravel()
-    return ElasticModel(mesh, material, csr_matrix(stiffness), csr_matrix(consistent_mass), lumped_mass)
+    elements = finite_elements(mesh, element)
+    scalar = _element(elements)
+    if element == "P1_nodal_pressure":
+        stiffness = _stiffness(mesh, scalar, -2 * material.lame_mu / 3, material.lame_mu) + _pressure_stiffness(mesh, material)
+    else:
+        stiffness = _stiffness(mesh, scalar, material.lame_lambda, material.lame_mu)
+    consistent_mass = csr_matrix(BilinearForm(lambda u, v, _: material.density * u * v).assemble(Basis(_skfem(mesh), scalar)))
+    lumped_mass = np.bincount(elements.tets.ravel(), lumped_mass_shares(elements, material.density).ravel())
+    return ElasticModel(elements, material, csr_matrix(stiffness), consistent_mass, lumped_mass)
 
 
-def traction_on_patch(
-    mesh: TetMesh,
-    pressure: float,
-    inside: Callable[[Float64[np.ndarray, "points 3"]], Bool[np.ndarray, " points"]],
-    direction: Float64[np.ndarray, "3"] | None = None,
-    faces: Bool[np.ndarray, " faces"] | None = None,
-) -> PatchTraction:
-    """Nodal force of a pressure (Pa) on the part of the surface where `inside` holds: the paper's integral of p H v dS.
-
-    H is integrated at 1,168 quadrature points of every face, so that a patch smaller than a face still has nearly its
-    area. The traction points along the unit vector `direction`, or against each face's outward normal when it is None.
-    `faces` (a mask over `mesh.boundary_faces`) spares the faces that `inside` cannot reach.
-    """
-    chosen = mesh.boundary_faces if faces is None else mesh.boundary_faces[faces]
-    local, weights = _split_triangle_quadrature()
-    shape = np.stack([1 - local[0] - local[1], local[0], local[1]])  # (corners, quadrature)
-    nodal_force, area = np.zeros_like(mesh.nodes), 0.0
-    for first in range(0, len(chosen), FACES_AT_ONCE):
-        block = chosen[first : first + FACES_AT_ONCE]
-        corners = mesh.nodes[block]
-        points = np.einsum("kq,fkd->fqd", shape, corners)
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        doubled_areas = np.linalg.norm(normals, axis=1)
-        loaded = inside(points.reshape(-1, 3)).reshape(points.shape[:2]) * weights * doubled_areas[:, None]
-        towards = -normals / doubled_areas[:, None] if direction is None else np.broadcast_to(direction, normals.shape)
-        np.add.at(nodal_force, block, pressure * (loaded @ shape.T)[:, :, None] * towards[:, None, :])
-        area += float(loaded.sum())
-    return PatchTraction(nodal_force, area)
+def body_force(elements: FiniteElements, density: Float64[np.ndarray, "3"] | Field) -> Float64[np.ndarray, "nodes 3"]:
+    """Nodal force (N) of a force density (N/m^3), constant or a function of the rest position: the integral of f v."""
+    if isinstance(density, np.ndarray):
+        return _assembled(elements, LinearForm(lambda v, _: dot(density[:, None, None], v)))
+    return _assembled(elements, LinearForm(lambda v, w: dot(_at(density, w.x), v)), FIELD_QUADRATURE_ORDER)
 
 
-def _split_triangle_quadrature() -> tuple[np.ndarray, np.ndarray]:
-    """Points (2, quadrature) and weights of the unit triangle cut into PATCH_SPLIT^2 equal ones, half of them turned over."""
-    points, weights = get_quadrature(RefTri, PATCH_QUADRATURE_ORDER)
-    places = [np.array([[i], [j]]) for i in range(PATCH_SPLIT) for j in range(PATCH_SPLIT - i)]
-    parts = [points + place for place in places] + [place + 1 - points for place in places if place.sum() < PATCH_SPLIT - 1]
-    return np.concatenate(parts, axis=1) / PATCH_SPLIT, np.tile(weights, len(parts)) / PATCH_SPLIT**2
-
-
-def body_force(mesh: TetMesh, density: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "nodes 3"]:
-    """Nodal force (N) of a constant force density (N/m^3): the integral of f v, a quarter of each tet's to each corner."""
-    nodal_force = np.zeros_like(mesh.nodes)
-    np.add.at(nodal_force, mesh.tets, (mesh.volumes / 4)[:, None, None] * density)
-    return nodal_force
+def stress_load(elements: FiniteElements, stress: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "nodes 3"]:
+    """Nodal force (N) that a stress (Pa), the same everywhere, exerts by itself: the integral of sigma : grad v."""
+    return _assembled(elements, LinearForm(lambda v, _: ddot(stress[:, :, None, None], grad(v))))
 
 
 def shape_gradients(mesh: TetMesh) -> Float64[np.ndarray, "tets 4 3"]:
-    """Gradient of each corner's shape function in each tet, 1/m; constant in a linear tet."""
+    """Gradient of each corner's linear shape function in each tet, 1/m; constant in a tet."""
     corners = mesh.nodes[mesh.tets]
     last_three = np.linalg.inv(corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
     return np.concatenate([-last_three.sum(axis=1, keepdims=True), last_three], axis=1)
+
+
+def element_matrices(model: ElasticModel) -> tuple[Float64[np.ndarray, "tets dofs dofs"], Float64[np.ndarray, "tets dofs dofs"]]:
+    """Stiffness (N/m) and consistent mass (kg) of each tet by itself; for P1_nodal_pressure the plain P1 stiffness, which is no smaller."""
+    material, scalar = model.material, _element(model.elements)
+    basis = Basis(_skfem(model.mesh), ElementVector(scalar))
+    stiffness = linear_elasticity(material.lame_lambda, material.lame_mu).elemental(basis).tolocal()
+    mass = BilinearForm(lambda u, v, _: material.density * dot(u, v)).elemental(basis).tolocal()
+    return stiffness, mass
+
+
+def lumped_mass_shares(elements: FiniteElements, density: float) -> Float64[np.ndarray, "tets corners"]:
+    """What each tet gives to each of its nodes, kg."""
+    shares = np.array(4 * [CORNER_SHARE] + 6 * [MIDDLE_SHARE] if elements.is_quadratic else 4 * [1 / 4])
+    result: np.ndarray = density * elements.mesh.volumes[:, None] * shares
+    return result
+
+
+def triangle_quadrature(order: int) -> tuple[Float64[np.ndarray, "2 quadrature"], Float64[np.ndarray, " quadrature"]]:
+    """Points and weights on the unit triangle, exact for polynomials up to `order`; at most 19."""
+    points, weights = get_quadrature(RefTri, order)
+    return points, weights
+
+
+def _skfem(mesh: TetMesh) -> MeshTet:
+    return MeshTet(np.ascontiguousarray(mesh.nodes.T), np.ascontiguousarray(mesh.tets.T))
+
+
+def _element(elements: FiniteElements) -> Element:
+    return ElementTetP2() if elements.is_quadratic else ElementTetP1()
+
+
+def _stiffness(mesh: TetMesh, scalar: Element, lame_lambda: float, lame_mu: float) -> csr_matrix:
+    order = 2 * (scalar.maxdeg - 1)  # of a product of two gradients; scikit-fem would integrate as if of two functions, for ten times the time
+    return csr_matrix(linear_elasticity(lame_lambda, lame_mu).assemble(Basis(_skfem(mesh), ElementVector(scalar), intorder=order)))
+
+
+def _pressure_stiffness(mesh: TetMesh, material: Material) -> csr_matrix:
+    """K_p = kappa D' V D: the volume change averaged over the tets around a node before it is squared (Bonet and Burton 1998).
+
+    D maps a displacement to the nodal volume strain, V is each node's quarter of its tets' volumes, kappa the bulk modulus.
+    """
+    quarter = np.repeat(mesh.volumes / 4, 4)
+    node_volumes = np.bincount(mesh.tets.ravel(), quarter)
+    columns = 3 * mesh.tets[:, :, None] + np.arange(3)  # (tets, 4, 3)
+    divergence = coo_matrix(
+        (shape_gradients(mesh).ravel(), (np.repeat(np.arange(len(mesh.tets)), 12), columns.ravel())), shape=(len(mesh.tets), mesh.nodes.size)
+    )
+    average = coo_matrix((quarter / node_volumes[mesh.tets.ravel()], (mesh.tets.ravel(), np.repeat(np.arange(len(mesh.tets)), 4)))).tocsr()
+    nodal = average @ divergence.tocsr()
+    return csr_matrix(nodal.T @ diags(material.bulk_modulus * node_volumes) @ nodal)
+
+
+def _assembled(elements: FiniteElements, form: LinearForm, order: int | None = None) -> Float64[np.ndarray, "nodes 3"]:
+    basis = Basis(_skfem(elements.mesh), ElementVector(_element(elements)), intorder=order)
+    vector: np.ndarray = form.assemble(basis).reshape(-1, 3)
+    return vector
+
+
+def _at(field: Field, positions: np.ndarray) -> np.ndarray:
+    """A field's values (3, tets, quadrature) at quadrature points of that shape."""
+    return field(positions.reshape(3, -1).T).T.reshape(positions.shape)

@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 from jaxtyping import Bool, Float64
+from scipy.sparse import csr_matrix, diags, eye, kron
 from scipy.sparse.linalg import splu
 
 from sdfnet.physics.elasticity import ElasticModel
@@ -19,6 +20,10 @@ class Mass(ABC):
     @abstractmethod
     def solve(self, values: Float64[np.ndarray, "dofs columns"]) -> Float64[np.ndarray, "dofs columns"]:
         """M^-1 x."""
+
+    @abstractmethod
+    def matrix(self) -> csr_matrix:
+        """M itself."""
 
 
 class LumpedMass(Mass):
@@ -37,6 +42,10 @@ class LumpedMass(Mass):
         result: np.ndarray = values / self.diagonal[:, None]
         return result
 
+    def matrix(self) -> csr_matrix:
+        """M itself."""
+        return csr_matrix(diags(self.diagonal))
+
 
 class ConsistentMass(Mass):
     """The paper's Galerkin mass: one factor of the scalar matrix for all components whose free nodes are the same.
@@ -45,6 +54,8 @@ class ConsistentMass(Mass):
     """
 
     def __init__(self, model: ElasticModel, fixed: Bool[np.ndarray, "nodes 3"]) -> None:
+        free = np.flatnonzero(~fixed.ravel())
+        self._matrix = csr_matrix(kron(model.consistent_mass, eye(3)))[free][:, free]
         position = np.cumsum(~fixed.ravel()).reshape(fixed.shape) - 1  # of a free (node, component) among the free degrees of freedom
         self._blocks = []
         for pattern in np.unique(fixed, axis=1).T:  # each distinct set of fixed nodes
@@ -71,6 +82,10 @@ class ConsistentMass(Mass):
             part = values[index]
             result[index] = factor.solve(part.reshape(len(index), -1)).reshape(part.shape)
         return result
+
+    def matrix(self) -> csr_matrix:
+        """M itself."""
+        return self._matrix
 
 
 def mass_of(kind: str, model: ElasticModel, fixed: Bool[np.ndarray, "nodes 3"]) -> Mass:

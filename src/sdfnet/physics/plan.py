@@ -7,35 +7,39 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
+from scipy.sparse import csr_matrix
 
-from sdfnet.errors import ConfigurationError, PhysicsError
+from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
-from sdfnet.physics.effects.roles import AddsLoad, ConstrainsNodes
+from sdfnet.physics.demands import Demands, demands_of
+from sdfnet.physics.effects.roles import Report
 from sdfnet.physics.elasticity import ElasticModel, assemble
-from sdfnet.physics.integrators.symplectic_euler import SymplecticEuler
+from sdfnet.physics.energy_watch import EnergyWatch
+from sdfnet.physics.integrators import INTEGRATORS, Integrator
 from sdfnet.physics.mass import mass_of
-from sdfnet.physics.stability import EnergyWatch, StepLimits, step_limits
+from sdfnet.physics.motion import EquationOfMotion, TimedLoad
+from sdfnet.physics.stability import StepLimits, step_limits
 from sdfnet.scene import Scene, Solver
 
 logger = logging.getLogger(__name__)
 
 LARGEST_LINEAR_STRAIN = 0.1  # linear elasticity drops terms of the strain squared: above this they are ten percent of it
-LOCKING_POISSON_RATIO = 0.45  # above it linear tets are visibly too stiff
+LOCKING_POISSON_RATIO = {"P1": 0.45, "P1_nodal_pressure": 0.5, "P2": 0.499}  # above it the element is visibly too stiff
 ROUNDING = 1e-9  # relative: how far interval / step may be from a whole number and still count as one
+IMPLICIT_STEPS_PER_FRAME = 10  # of Newmark with time_step auto: what happens within a frame's interval is not asked for
+STEPS_PER_SEGMENT = 4  # of a load's history, which methods without a stability limit take for straight over a step
+TRIAL_STEPS = 20  # whose median predicts the time of all
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A scene ready to run: its matrices, constraints, load and step. `describe` prints it."""
+    """A scene ready to run: its matrices, what its effects demand, and its step. `describe` prints it."""
 
     scene: Scene
     model: ElasticModel
-    fixed: Bool[np.ndarray, "nodes 3"]  # components that do not move
-    nodal_force: Float64[np.ndarray, "nodes 3"]  # N, constant
-    limits: StepLimits
+    demands: Demands
+    limits: StepLimits | None  # none where the integrator has no stability limit
     steps_per_frame: int
-    effect_lines: tuple[str, ...]  # one for each effect: its name, type and what it does here
-    report: dict[str, float | int | str]  # what the effects and the plan say for the trajectory's report
 
     @property
     def time_step(self) -> float:
@@ -47,21 +51,64 @@ class Plan:
         """Steps in all."""
         return self.steps_per_frame * (self.scene.recording.frames - 1)
 
-    def compile(self) -> tuple[SymplecticEuler, EnergyWatch]:
-        """The integrator over the free degrees of freedom (one column, this scene's load) and its energy watch."""
+    @property
+    def fixed(self) -> Bool[np.ndarray, "nodes 3"]:
+        """Components that do not move."""
+        return self.demands.fixed
+
+    @property
+    def nodal_force(self) -> Float64[np.ndarray, "nodes 3"]:
+        """All constant loads of the effects, N; those of load cases are apart."""
+        return sum((load.nodal_force for load in self.demands.loads.values() if load.history.is_constant), np.zeros(self.fixed.shape))
+
+    @property
+    def report(self) -> Report:
+        """What the effects say of themselves, for the trajectory's report."""
+        return {**self.demands.report, "load_over_youngs_modulus": self.demands.stress / self.scene.material.youngs_modulus}
+
+    def equation(self) -> EquationOfMotion:
+        """The equation of motion on the free degrees of freedom, a column for each load case."""
+        demands, columns = self.demands, max(1, len(self.demands.case_loads))
         free = np.flatnonzero(~self.fixed.ravel())
         stiffness = self.model.stiffness[free][:, free]
-        mass = mass_of(self.scene.solver.mass, self.model, self.fixed)
-        force = self.nodal_force.reshape(-1, 1)[free]
-        integrator = SymplecticEuler(stiffness, mass, force, self.time_step, self.scene.solver.start)
-        return integrator, EnergyWatch(stiffness, mass, force, self.time_step)
+        constant, timed = np.zeros((len(free), columns)), []
+        cases = list(demands.case_loads.values())
+        for load, column in [(load, slice(None)) for load in demands.loads.values()] + [(load, slice(k, k + 1)) for k, load in enumerate(cases)]:
+            force = np.zeros((len(free), columns))
+            force[:, column] = load.nodal_force.reshape(-1, 1)[free]
+            if load.history.is_constant:
+                constant += load.history.values[0] * force
+            else:
+                timed.append(TimedLoad(force, load.history))
+        displacement, velocity = (np.repeat(values.reshape(-1, 1)[free], columns, axis=1) for values in (demands.start.displacement, demands.start.velocity))
+        return EquationOfMotion(
+            mass=mass_of(self.scene.solver.mass, self.model, self.fixed),
+            stiffness=csr_matrix(stiffness.shape) if demands.replaces_elasticity else stiffness,
+            constant_force=constant,
+            timed_loads=tuple(timed),
+            damping=demands.damping,
+            laws=tuple(demands.laws.values()),
+            displacement=displacement,
+            velocity=velocity,
+            free=free,
+            n_nodes=len(self.fixed),
+        )
+
+    def compile(self, device: str = "cpu") -> tuple[Integrator, EnergyWatch]:
+        """The integrator and its energy watch. Raises ConfigurationError when the one cannot do what the scene needs."""
+        solver = self.scene.solver
+        kind, motion = INTEGRATORS[solver.integrator], self.equation()
+        kind.check(solver.integrator, motion, solver.mass == "lumped", device)
+        options = {"count": solver.modes} if solver.integrator == "modal" else {"device": device} if kind.is_explicit else {}
+        integrator = kind(motion, self.time_step, **options)
+        return integrator, EnergyWatch(integrator)
 
     def predicted_seconds(self) -> float:
         """Wall time of all steps on this machine: twenty real ones, their median times the number of steps."""
         integrator, _ = self.compile()
         state = integrator.initial_state()
         seconds = []
-        for _ in range(20):
+        for _ in range(min(TRIAL_STEPS, self.steps)):
             start = time.perf_counter()
             integrator.advance(state, 1)
             seconds.append(time.perf_counter() - start)
@@ -69,65 +116,61 @@ class Plan:
 
     def describe(self) -> str:
         """The plan for the screen: effects, matrices, step limits, step and predicted seconds."""
-        n_free, solver = int((~self.fixed).sum()), self.scene.solver
+        solver, recording = self.scene.solver, self.scene.recording
         mass = "lumped (diagonal, no solve)" if solver.mass == "lumped" else "consistent (a sparse solve per step)"
+        n_free, cases = int((~self.fixed).sum()), len(self.demands.case_loads)
+        limit = "" if self.limits is None else f" ({self.time_step / self.limits.of(solver.mass):.2f} of the limit)"
         lines = [
             "effects",
-            *(f"  {line}" for line in self.effect_lines),
+            *(f"  {line}" for line in self.demands.lines),
+            *([f"  {cases} load cases in one run, a column each"] if cases else []),
             "matrices",
-            f"  stiffness {self.fixed.size} x {self.fixed.size}, {self.model.stiffness.nnz} entries, {n_free} degrees of freedom free; mass {mass}",
-            "step limits",
-            *(f"  {line}" for line in self.limits.lines()),
+            f"  {solver.element} elements, stiffness {self.fixed.size} x {self.fixed.size}, {self.model.stiffness.nnz} entries, "
+            f"{n_free} degrees of freedom free; mass {mass}",
+            *([] if self.limits is None else ["step limits", *(f"  {line}" for line in self.limits.lines())]),
             "step",
-            f"  {self.time_step:.4e} s ({self.time_step / self.limits.of(solver.mass):.2f} of the limit), symplectic Euler, start: {solver.start}",
-            f"  {self.steps} steps, {self.steps_per_frame} per frame, {self.scene.recording.frames} frames over {self.scene.recording.duration:g} s",
+            f"  {solver.integrator}: {self._kernel()}",
+            f"  {self.time_step:.4e} s{limit}",
+            f"  {self.steps} steps, {self.steps_per_frame} per frame, {recording.frames} frames over {recording.duration:g} s",
             f"  {self.predicted_seconds():.2g} s predicted for the steps",
         ]
         return "\n".join(lines)
+
+    def _kernel(self) -> str:
+        """What one step computes, in words."""
+        demands, kind = self.demands, INTEGRATORS[self.scene.solver.integrator]
+        parts = [] if demands.replaces_elasticity else ["a sparse product"]
+        if not kind.is_explicit:
+            parts = {"newmark": ["a sparse product", "a solve with the factor of M + h/2 C + h^2/4 K"], "modal": [f"{self.scene.solver.modes} modes"]}.get(
+                self.scene.solver.integrator, ["a Chebyshev series of sparse products"]
+            )
+        elif self.scene.solver.mass == "consistent":
+            parts.append("a solve with the mass")
+        timed = sum(not load.history.is_constant for load in (*demands.loads.values(), *demands.case_loads.values()))
+        parts += [f"{timed} loads scaled over time"] if timed else []
+        parts += ["two scalings for damping"] if demands.damping else []
+        return ", ".join(parts + [f"the force of {name}" for name in demands.laws])
 
 
 def plan(scene: Scene, mesh: TetMesh) -> Plan:
     """Ask every effect for what its roles promise, and choose the step.
 
     Raises PhysicsError for a step over the true limit, a load or a constraint on nothing, and a scene in which nothing
-    can move. Logs a warning where the scene lies outside linear elasticity, where linear tets lock, and where nothing
-    holds or loads the solid.
+    can move; ConfigurationError for effects or methods that do not go together. Logs a warning where the scene lies
+    outside linear elasticity, where the elements lock, and where nothing holds or loads the solid.
     """
-    model = assemble(mesh, scene.material)
-    fixed = np.zeros((len(mesh.nodes), 3), dtype=np.bool_)
-    nodal_force = np.zeros((len(mesh.nodes), 3))
-    stress = 0.0
-    report: dict[str, float | int | str] = {}
-    lines = []
-    for name, effect in scene.effects.items():
-        deeds = []
-        if isinstance(effect, ConstrainsNodes):
-            held = effect.fixed_components(mesh)
-            fixed |= held
-            deeds.append(f"fixes {int(held.sum())} components of {int(held.any(axis=1).sum())} nodes")
-        if isinstance(effect, AddsLoad):
-            load = effect.load(model)
-            nodal_force += load.nodal_force
-            stress += load.stress
-            report.update({f"{name}_{key}": value for key, value in load.report.items()})
-            deeds.append(f"adds a constant load ({', '.join(f'{key} {_short(value)}' for key, value in load.report.items())})")
-        if not deeds:
-            raise ConfigurationError(
-                f"effect '{name}' ({type(effect).__name__}) asks nothing of the simulator; derive it from a role in sdfnet.physics.effects.roles"
-            )
-        lines.append(f"{name}: {type(effect).__name__} {' and '.join(deeds)}")
-    _check_that_something_can_move(fixed, nodal_force)
-    _warn_about_validity(scene, stress)
-    report["load_over_youngs_modulus"] = stress / scene.material.youngs_modulus
-    limits = step_limits(model, fixed)
-    steps_per_frame = _steps_per_frame(scene, limits)
-    return Plan(scene, model, fixed, nodal_force, limits, steps_per_frame, tuple(lines), report)
+    model = assemble(mesh, scene.material, scene.solver.element)
+    demands = demands_of(scene, model)
+    _warn_about_validity(scene, demands)
+    is_explicit = INTEGRATORS[scene.solver.integrator].is_explicit
+    limits = step_limits(model, demands.fixed, demands.added_stiffness, demands.damping, demands.stable_fraction) if is_explicit else None
+    return Plan(scene, model, demands, limits, _steps_per_frame(scene, demands, limits))
 
 
-def _steps_per_frame(scene: Scene, limits: StepLimits) -> int:
+def _steps_per_frame(scene: Scene, demands: Demands, limits: StepLimits | None) -> int:
     """The fewest steps between two frames with a step no longer than the given one, or than auto allows."""
     solver, interval = scene.solver, scene.recording.duration / (scene.recording.frames - 1)
-    longest = _longest_step(solver, limits.of(solver.mass))
+    longest = _longest_unlimited_step(scene, demands) if limits is None else _longest_step(solver, limits.of(solver.mass))
     count = max(1, math.ceil(interval / longest * (1 - ROUNDING)))
     if solver.time_step != "auto" and interval / count < longest * (1 - ROUNDING):
         logger.info("time step %.6g s shortened to %.6g s, so that %d of them fill the %.6g s between two frames", longest, interval / count, count, interval)
@@ -144,28 +187,32 @@ def _longest_step(solver: Solver, limit: float) -> float:
     return solver.time_step
 
 
-def _check_that_something_can_move(fixed: Bool[np.ndarray, "nodes 3"], nodal_force: Float64[np.ndarray, "nodes 3"]) -> None:
-    if fixed.all():
-        raise PhysicsError("the effects must leave something free to move, found every component of every node fixed; pin less")
-    if nodal_force.any() and not nodal_force[~fixed].any():
-        raise PhysicsError("the load must reach a node that is free to move, found it on fixed components only; move the load or pin less")
-    if not nodal_force.any():
-        logger.warning("nothing loads the solid: every frame will be the rest state")
-    if not fixed.any():
-        logger.warning("nothing holds the solid: it flies freely")
+def _longest_unlimited_step(scene: Scene, demands: Demands) -> float:
+    """Of the given step or, for auto, a part of a frame's interval and of the shortest piece of a load's history."""
+    if not isinstance(scene.solver.time_step, str):
+        return scene.solver.time_step
+    interval = scene.recording.duration / (scene.recording.frames - 1)
+    longest = interval / IMPLICIT_STEPS_PER_FRAME if scene.solver.integrator == "newmark" else interval
+    loads = (*demands.loads.values(), *demands.case_loads.values())
+    return min([longest, *(float(np.diff(load.history.times).min()) / STEPS_PER_SEGMENT for load in loads if not load.history.is_constant)])
 
 
-def _warn_about_validity(scene: Scene, stress: float) -> None:
-    material = scene.material
-    if material.poisson_ratio > LOCKING_POISSON_RATIO:
-        logger.warning("Poisson ratio %.3g > %.2g: linear tets lock and the solid will look too stiff", material.poisson_ratio, LOCKING_POISSON_RATIO)
-    if stress > LARGEST_LINEAR_STRAIN * material.youngs_modulus:
+def _warn_about_validity(scene: Scene, demands: Demands) -> None:
+    material, element = scene.material, scene.solver.element
+    if material.poisson_ratio > LOCKING_POISSON_RATIO[element]:
+        logger.warning(
+            "Poisson ratio %.5g > %.3g: %s tets lock and the solid will look too stiff; set solver.element=P1_nodal_pressure",
+            material.poisson_ratio,
+            LOCKING_POISSON_RATIO[element],
+            "linear" if element == "P1" else "quadratic",
+        )
+    if demands.stress > LARGEST_LINEAR_STRAIN * material.youngs_modulus and not demands.replaces_elasticity:
         logger.warning(
             "outside linear elasticity: the load is %.2g of Young's modulus, valid up to about %.2g; it is run as asked (the paper's own scene has 0.8)",
-            stress / material.youngs_modulus,
+            demands.stress / material.youngs_modulus,
             LARGEST_LINEAR_STRAIN,
         )
-
-
-def _short(value: float | int | str) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if not demands.moves:
+        logger.warning("nothing loads the solid or moves it: every frame will be the rest state")
+    if not demands.fixed.any():
+        logger.warning("nothing holds the solid: it flies freely")

@@ -1,22 +1,27 @@
 """Runs a scene: from a tet mesh at rest to its displacements at the recorded times (paper section 2)."""
 
+import copy
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.effects.roles import Report
 from sdfnet.physics.elasticity import shape_gradients
+from sdfnet.physics.energy_watch import EnergyWatch
+from sdfnet.physics.integrators.integrator import State
 from sdfnet.physics.plan import LARGEST_LINEAR_STRAIN, Plan, plan
 from sdfnet.physics.trajectory import Trajectory
 from sdfnet.scene import Scene
 
 logger = logging.getLogger(__name__)
 
-ENERGY_TOLERANCE = 1e-8  # relative drift of H; rounding gives 1e-12 at most, and beyond the limit it passes this within tens of steps
+Progress = Callable[[int, int], None]  # frames done, frames in all
 
 
 class SimulationStopped(PhysicsError):
@@ -27,59 +32,110 @@ class SimulationStopped(PhysicsError):
         self.trajectory = trajectory
 
 
-def simulate(scene: Scene, mesh: TetMesh, progress: Callable[[int, int], None] | None = None) -> Trajectory:
+@dataclass(eq=False)
+class Snapshot:
+    """All that a run needs to go on bit for bit from its last frame."""
+
+    displacements: Float64[np.ndarray, "cases frames nodes 3"]  # m, up to and with the last frame done
+    state: State
+    watch: dict[str, Float64[np.ndarray, " values"]]  # what the energy watch compares with
+
+
+def simulate(scene: Scene, mesh: TetMesh, progress: Progress | None = None, device: str = "cpu") -> Trajectory:
     """Displacements of a scene on a mesh at its recorded times.
 
     `progress(done, total)` is called after every frame but the first. Raises PhysicsError when the scene cannot be
     simulated as asked (see `plan`), and SimulationStopped when a frame is not finite or breaks the energy watch.
     """
-    return run(plan(scene, mesh), progress)
+    return run(plan(scene, mesh), progress, device)
 
 
-def run(compiled: Plan, progress: Callable[[int, int], None] | None = None) -> Trajectory:
-    """Take the steps of a plan. Raises SimulationStopped."""
-    mesh, recording = compiled.model.mesh, compiled.scene.recording
-    free = np.flatnonzero(~compiled.fixed.ravel())
-    displacements = np.zeros((recording.frames, len(mesh.nodes), 3))
+def run(
+    compiled: Plan,
+    progress: Progress | None = None,
+    device: str = "cpu",
+    resume: Snapshot | None = None,
+    keep: Callable[[Snapshot], None] | None = None,
+) -> Trajectory:
+    """Take the steps of a plan. Raises SimulationStopped.
+
+    `keep` is handed a snapshot after every frame, to write or to pass over; `resume` goes on from one, bit for bit.
+    """
+    recording, integrator, watch = compiled.scene.recording, *compiled.compile(device)
+    motion = integrator.motion
     times = np.linspace(0.0, recording.duration, recording.frames)
-    integrator, watch = compiled.compile()
-    state = integrator.initial_state()
-    drift = watch.drift(state.displacement.numpy(), state.velocity.numpy())
+    displacements = np.zeros((motion.constant_force.shape[1], recording.frames, motion.n_nodes, 3))
+    if resume is None:
+        state, first = integrator.initial_state(), 1
+        _record(displacements, 0, state, motion.free)
+        watch.problem(state)
+    else:
+        state, first = copy.deepcopy(resume.state), resume.displacements.shape[1]
+        displacements[:, :first] = resume.displacements
+        watch.remember(resume.watch)
     began = time.perf_counter()
-    for frame in range(1, recording.frames):
+    for frame in range(first, recording.frames):
         integrator.advance(state, compiled.steps_per_frame)
-        displacement, velocity = state.displacement.numpy(), state.velocity.numpy()
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite, and so is caught below
-            drift = float(np.maximum(drift, watch.drift(displacement, velocity)))  # unlike max(), keeps a NaN
-        if not (np.isfinite(displacement).all() and drift <= ENERGY_TOLERANCE):
-            kept = Trajectory(mesh, times[:frame], displacements[:frame], compiled.time_step, compiled.report)
-            raise SimulationStopped(_breakdown(compiled, frame, times, drift), kept)
-        displacements[frame].reshape(-1)[free] = displacement[:, 0]
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite, and so is caught
+            problem = watch.problem(state)
+        if problem is not None:
+            kept = _trajectory(compiled, times[:frame], displacements[:, :frame], compiled.report)
+            raise SimulationStopped(_breakdown(compiled, frame, times, problem), kept)
+        _record(displacements, frame, state, motion.free)
         if progress is not None:
             progress(frame, recording.frames - 1)
+        if keep is not None:
+            keep(Snapshot(displacements[:, : frame + 1], copy.deepcopy(state), watch.memory()))
     seconds = time.perf_counter() - began
-    report = compiled.report | _made_how(compiled, seconds, drift) | _deformation(mesh, displacements)
-    return Trajectory(mesh, times, displacements, compiled.time_step, report)
+    report = compiled.report | _made_how(compiled, seconds, watch) | _laws_report(compiled, displacements[0], times)
+    report |= _deformation(compiled, displacements.reshape(-1, motion.n_nodes, 3))
+    return _trajectory(compiled, times, displacements, report)
 
 
-def _made_how(compiled: Plan, seconds: float, drift: float) -> dict[str, float | int | str]:
+def _record(displacements: np.ndarray, frame: int, state: State, free: np.ndarray) -> None:
+    """Put the state of every column into its case's frame."""
+    for case, values in enumerate(state.displacement.cpu().numpy().T):
+        displacements[case, frame].reshape(-1)[free] = values
+
+
+def _trajectory(compiled: Plan, times: np.ndarray, displacements: np.ndarray, report: Report) -> Trajectory:
+    """The frames of all cases one after the other, on the corners of the tets."""
+    mesh, cases = compiled.model.mesh, tuple(compiled.demands.case_loads)
+    corners = displacements[:, :, : len(mesh.nodes)].reshape(-1, len(mesh.nodes), 3)
+    return Trajectory(mesh, np.tile(times, len(displacements)), corners, compiled.time_step, report, cases)
+
+
+def _made_how(compiled: Plan, seconds: float, watch: EnergyWatch) -> Report:
     limits, solver = compiled.limits, compiled.scene.solver
+    of_limits: Report = (
+        {}
+        if limits is None
+        else {
+            "limit_lumped_s": limits.lumped,
+            "limit_consistent_s": limits.consistent,
+            "limit_courant_paper_s": limits.courant,
+        }
+    )
     return {
+        "integrator": solver.integrator,
         "mass": solver.mass,
-        "start": solver.start,
+        "element": solver.element,
         "time_step_s": compiled.time_step,
         "steps": compiled.steps,
         "steps_per_frame": compiled.steps_per_frame,
-        "limit_lumped_s": limits.lumped,
-        "limit_consistent_s": limits.consistent,
-        "limit_courant_paper_s": limits.courant,
-        "energy_drift": drift,
+        **of_limits,
+        "energy_drift": watch.drift,
         "step_seconds": seconds,
     }
 
 
-def _deformation(mesh: TetMesh, displacements: Float64[np.ndarray, "frames nodes 3"]) -> dict[str, float | int | str]:
+def _laws_report(compiled: Plan, displacements: np.ndarray, times: np.ndarray) -> Report:
+    return {f"{name}_{key}": value for name, law in compiled.demands.laws.items() for key, value in law.report(displacements, times).items()}
+
+
+def _deformation(compiled: Plan, displacements: Float64[np.ndarray, "frames nodes 3"]) -> Report:
     """How far and how strongly the solid deforms, with warnings where linear elasticity no longer describes it."""
+    mesh = compiled.model.mesh
     gradients = shape_gradients(mesh)
     largest, n_inverted, first_inverted = 0.0, 0, -1
     for frame, displacement in enumerate(displacements):
@@ -88,7 +144,7 @@ def _deformation(mesh: TetMesh, displacements: Float64[np.ndarray, "frames nodes
         if (np.linalg.det(gradient + np.eye(3)) <= 0).any():
             n_inverted += 1
             first_inverted = frame if first_inverted < 0 else first_inverted
-    if largest > LARGEST_LINEAR_STRAIN:
+    if largest > LARGEST_LINEAR_STRAIN and not compiled.demands.replaces_elasticity:
         logger.warning("outside linear elasticity: the displacement gradient reaches %.2g, valid up to about %.2g", largest, LARGEST_LINEAR_STRAIN)
     if n_inverted:
         logger.warning("%d frames hold inverted tets, the first is frame %d: their surfaces may cut themselves", n_inverted, first_inverted)
@@ -99,10 +155,10 @@ def _deformation(mesh: TetMesh, displacements: Float64[np.ndarray, "frames nodes
     }
 
 
-def _breakdown(compiled: Plan, frame: int, times: Float64[np.ndarray, " frames"], drift: float) -> str:
+def _breakdown(compiled: Plan, frame: int, times: Float64[np.ndarray, " frames"], problem: str) -> str:
+    share = "" if compiled.limits is None else f", {compiled.time_step / compiled.limits.of(compiled.scene.solver.mass):.3f} of the stable limit"
     return (
-        f"simulation stopped at step {frame * compiled.steps_per_frame}, t = {times[frame]:.4g} s: the energy watch must hold to {ENERGY_TOLERANCE:g} "
-        f"and every value must be finite, found a drift of {drift:.3g}; the last good frame is {frame - 1}, t = {times[frame - 1]:.4g} s. "
-        f"The step is {compiled.time_step:.4g} s, {compiled.time_step / compiled.limits.of(compiled.scene.solver.mass):.3f} of the stable limit: "
+        f"simulation stopped at step {frame * compiled.steps_per_frame}, t = {times[frame]:.4g} s: {problem}; "
+        f"the last good frame is {frame - 1}, t = {times[frame - 1]:.4g} s. The step is {compiled.time_step:.4g} s{share}: "
         "lower solver.time_step or solver.safety"
     )

@@ -1,4 +1,4 @@
-"""How large a time step may be, and the quantity that shows when it was too large."""
+"""How large an explicit time step may be."""
 
 import math
 from dataclasses import dataclass
@@ -6,20 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.sparse import csr_matrix, diags
-from scipy.sparse.linalg import LinearOperator, eigsh
 
-from sdfnet.physics.elasticity import ElasticModel, shape_gradients
-from sdfnet.physics.mass import ConsistentMass, LumpedMass, Mass
+from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.effects.roles import Damping
+from sdfnet.physics.elasticity import ElasticModel, element_matrices, lumped_mass_shares, shape_gradients
+from sdfnet.physics.mass import ConsistentMass, LumpedMass
+from sdfnet.physics.modes import largest_eigenvalue
 
-LANCZOS_TOLERANCE = 1e-9  # relative, on omega_max^2, which Lanczos approaches from below
-DENSE_SIZE = 30  # below so many unknowns Lanczos has no room and the dense solver is instant
+LUMPED_OVER_CONSISTENT = {False: 5.0, True: 70 / 9}  # the most that a tet's lumped mass can exceed its consistent one, linear and quadratic
 
 
 @dataclass(frozen=True)
 class StepLimits:
-    """The largest stable step of symplectic Euler, h = 2 / omega_max, from six sources; all in s, constraints counted.
+    """The largest stable step of leapfrog, h = 2 / omega_max, from six sources; all in s, constraints counted.
 
-    `courant` is the paper's h_min / c. It is no bound: on the bunny it is two to four times the truth.
+    `courant` is the paper's h_min / c. It is no bound: on the bunny it is two to four times the truth. Stiffness that
+    effects add (contact) is counted in all but the paper's; damping in `damped`.
     """
 
     lumped: float  # the truth for the lumped mass
@@ -28,14 +30,19 @@ class StepLimits:
     element_lumped: float  # never above the truth
     element_consistent: float  # never above the truth
     courant: float  # the paper's
+    damping: Damping
+    stable_fraction: float  # part of the limit that remains while force laws stiffen
+    governing_tet: int  # the tet with the highest frequency by itself
+    governing: str  # what there is to say about it
 
     def of(self, mass: str) -> float:
-        """The true limit of the mass that `solver.mass` names, s."""
-        return self.lumped if mass == "lumped" else self.consistent
+        """The limit of the mass that `solver.mass` names with damping and stiffening counted, s."""
+        undamped = self.stable_fraction * (self.lumped if mass == "lumped" else self.consistent)
+        return damped_limit(2 / undamped, self.damping) if self.damping else undamped
 
     def lines(self) -> list[str]:
         """A table of all six for the screen."""
-        rows = (
+        rows = [
             ("true limit 2/omega_max, lumped mass", self.lumped, self.lumped),
             ("true limit 2/omega_max, consistent mass", self.consistent, self.consistent),
             ("Gershgorin bound, lumped mass", self.gershgorin, self.lumped),
@@ -43,81 +50,88 @@ class StepLimits:
             ("element bound, consistent mass", self.element_consistent, self.consistent),
             ("the paper's CFL h_min/c, lumped mass", self.courant, self.lumped),
             ("the paper's CFL h_min/c, consistent mass", self.courant, self.consistent),
-        )
+        ]
         verdicts = ("" if step <= truth else "  NOT SAFE" for _, step, truth in rows)
-        return [f"{name:<42}{step:>11.3e} s{step / truth:>7.2f} of the truth{verdict}" for (name, step, truth), verdict in zip(rows, verdicts, strict=True)]
+        table = [f"{name:<42}{step:>11.3e} s{step / truth:>7.2f} of the truth{verdict}" for (name, step, truth), verdict in zip(rows, verdicts, strict=True)]
+        return [*table, f"governed by {self.governing}"]
 
 
-def step_limits(model: ElasticModel, fixed: Bool[np.ndarray, "nodes 3"]) -> StepLimits:
-    """All limits of an elastic model whose `fixed` components are held.
+def damped_limit(omega: float, damping: Damping) -> float:
+    """The largest stable step when the damping force lags half a step: omega^2 h^2 + 2 (a + b omega^2) h = 4.
 
-    Gershgorin: omega_max^2 <= largest absolute row sum of M^-1/2 K M^-1/2. Element bound (linear tets): omega_max^2 <=
-    largest over the tets of (4 / rho) lambda_max(B^T C B); five times that for the consistent mass, because B sees
-    nothing of a translation and an element's consistent mass is a fifth of the lumped one on all else.
+    With one damping ratio x it is h omega = 2 (sqrt(1 + x^2) - x).
+    """
+    half = (damping.mass + damping.stiffness * omega**2) / omega**2
+    return 4 / omega**2 / (half + math.sqrt(half**2 + 4 / omega**2))
+
+
+def step_limits(
+    model: ElasticModel,
+    fixed: Bool[np.ndarray, "nodes 3"],
+    added_stiffness: Float64[np.ndarray, " nodes"] | None = None,
+    damping: Damping | None = None,
+    stable_fraction: float = 1.0,
+) -> StepLimits:
+    """All limits of an elastic model whose `fixed` components are held and whose nodes are stiffened by `added_stiffness` (N/m).
+
+    Gershgorin: omega_max^2 <= largest absolute row sum of M^-1/2 K M^-1/2, guaranteed for every element. Element bound:
+    omega_max^2 <= the largest omega^2 of a tet by itself, with its share of the mass.
     """
     free = np.flatnonzero(~fixed.ravel())
     stiffness = model.stiffness[free][:, free]
+    added = np.zeros(len(model.lumped_mass)) if added_stiffness is None else added_stiffness
+    if added.any():
+        stiffness = csr_matrix(stiffness + diags(np.repeat(added, 3)[free]))
     inverse_root = diags(1 / np.sqrt(LumpedMass(model, fixed).diagonal))
     scaled = csr_matrix(inverse_root @ stiffness @ inverse_root)
-    element = _largest_element_eigenvalue(model)
+    lumped, consistent = _element_eigenvalues(model)
+    contact = float((added / model.lumped_mass).max())  # a node's own frequency squared adds to the bound
+    worst = int(lumped.argmax())
     return StepLimits(
-        lumped=2 / math.sqrt(_largest_eigenvalue(scaled, None)),
-        consistent=2 / math.sqrt(_largest_eigenvalue(stiffness, ConsistentMass(model, fixed))),
+        lumped=2 / math.sqrt(largest_eigenvalue(scaled, None)),
+        consistent=2 / math.sqrt(largest_eigenvalue(stiffness, ConsistentMass(model, fixed))),
         gershgorin=2 / math.sqrt(float(abs(scaled).sum(axis=1).max())),
-        element_lumped=2 / math.sqrt(element),
-        element_consistent=2 / math.sqrt(5 * element),
+        element_lumped=2 / math.sqrt(float(lumped.max()) + contact),
+        element_consistent=2 / math.sqrt(float(consistent.max()) + LUMPED_OVER_CONSISTENT[model.elements.is_quadratic] * contact),
         courant=model.mesh.smallest_edge / model.material.pressure_wave_speed,
+        damping=Damping() if damping is None else damping,
+        stable_fraction=stable_fraction,
+        governing_tet=worst,
+        governing=_governing(model.mesh, worst, lumped),
     )
 
 
-def _largest_eigenvalue(matrix: csr_matrix, mass: ConsistentMass | None) -> float:
-    """lambda_max of A x = lambda M x, with M = 1 for None."""
-    size = matrix.shape[0]
-    start = np.random.default_rng(0).standard_normal(size)  # fixed, so that the step does not change from run to run
-    if mass is None:
-        if size < DENSE_SIZE:
-            return float(np.linalg.eigvalsh(matrix.toarray())[-1])
-        return float(eigsh(matrix, k=1, which="LA", v0=start, tol=LANCZOS_TOLERANCE, return_eigenvectors=False)[0])
-    if size < DENSE_SIZE:
-        return float(np.linalg.eigvals(mass.solve(matrix.toarray())).real.max())
-    product = LinearOperator((size, size), matvec=lambda x: mass.product(x.reshape(-1, 1)).ravel(), dtype=np.float64)
-    inverse = LinearOperator((size, size), matvec=lambda x: mass.solve(x.reshape(-1, 1)).ravel(), dtype=np.float64)
-    return float(eigsh(matrix, k=1, M=product, Minv=inverse, which="LA", v0=start, tol=LANCZOS_TOLERANCE, return_eigenvectors=False)[0])
+def _element_eigenvalues(model: ElasticModel) -> tuple[Float64[np.ndarray, " tets"], Float64[np.ndarray, " tets"]]:
+    """The largest omega^2 of each tet by itself (1/s^2), with lumped and with consistent mass.
 
-
-def _largest_element_eigenvalue(model: ElasticModel) -> float:
-    """The largest (4 / rho) lambda_max(B^T C B) over the tets, 1/s^2."""
-    material, gradients = model.material, shape_gradients(model.mesh)
+    Linear tets: (4 / rho) lambda_max(B'CB); five times that for the consistent mass, because B sees nothing of a
+    translation and an element's consistent mass is a fifth of the lumped one on all else.
+    """
+    material = model.material
+    if model.elements.is_quadratic:
+        stiffness, mass = element_matrices(model)
+        shares = np.repeat(lumped_mass_shares(model.elements, material.density), 3, axis=1)
+        scaled = stiffness / np.sqrt(shares[:, :, None] * shares[:, None, :])
+        lower = np.linalg.inv(np.linalg.cholesky(mass))
+        return np.linalg.eigvalsh(scaled)[:, -1], np.linalg.eigvalsh(lower @ stiffness @ lower.transpose(0, 2, 1))[:, -1]
+    gradients = shape_gradients(model.mesh)
     blocks = (
         material.lame_lambda * np.einsum("tia,tjb->tiajb", gradients, gradients)
         + material.lame_mu * np.einsum("tib,tja->tiajb", gradients, gradients)
         + material.lame_mu * np.einsum("tic,tjc,ab->tiajb", gradients, gradients, np.eye(3))
     )
-    return float(4 / material.density * np.linalg.eigvalsh(blocks.reshape(-1, 12, 12))[:, -1].max())
+    lumped = 4 / material.density * np.linalg.eigvalsh(blocks.reshape(-1, 12, 12))[:, -1]
+    return lumped, 5 * lumped
 
 
-class EnergyWatch:
-    """Watches H = 1/2 v'Mv + 1/2 u'Ku - f'u - (h/2) v'(Ku - f), which symplectic Euler keeps under a constant load.
-
-    The plain energy swings by h omega; H stays to rounding (1e-14 over 1e4 steps). A step over the limit makes its
-    terms grow without bound until their rounding shows, within tens of steps. Not for a load that changes with time
-    or for damping: H then changes by the work they do.
-    """
-
-    def __init__(self, stiffness: csr_matrix, mass: Mass, force: Float64[np.ndarray, "dofs columns"], time_step: float) -> None:
-        self._stiffness, self._mass, self._force, self._time_step = stiffness, mass, force, time_step
-        self._first: Float64[np.ndarray, " columns"] | None = None
-        self._work = np.zeros(force.shape[1])
-
-    def drift(self, displacement: Float64[np.ndarray, "dofs columns"], velocity: Float64[np.ndarray, "dofs columns"]) -> float:
-        """|H - H_first| over the largest work |f'u| so far plus |H_first|, the worst column; 0 at the first call, NaN for what is not finite."""
-        unbalanced = self._stiffness @ displacement - self._force
-        work = (self._force * displacement).sum(axis=0)
-        energy = (0.5 * velocity * (self._mass.product(velocity) - self._time_step * unbalanced)).sum(axis=0)
-        energy += 0.5 * (displacement * (unbalanced - self._force)).sum(axis=0)
-        if self._first is None:
-            self._first = energy
-        self._work = np.maximum(self._work, np.abs(work))
-        scale = self._work + np.abs(self._first)
-        change = np.abs(energy - self._first)
-        return float(np.max(np.divide(change, scale, out=np.where(change != 0, np.inf, 0.0), where=scale != 0)))
+def _governing(mesh: TetMesh, tet: int, squared: Float64[np.ndarray, " tets"]) -> str:
+    """The tet that makes the step small, and what the step would be without it and its like."""
+    corners = mesh.nodes[mesh.tets[tet]]
+    areas = [np.linalg.norm(np.cross(*(np.delete(corners, k, axis=0)[1:] - np.delete(corners, k, axis=0)[0]))) / 2 for k in range(4)]
+    altitude = 3 * mesh.volumes[tet] / max(areas)
+    x, y, z = corners.mean(axis=0)
+    gain = math.sqrt(float(squared[tet] / np.quantile(squared, 0.99)))
+    return (
+        f"tet {tet} at ({x:.4g}, {y:.4g}, {z:.4g}) m, smallest altitude {altitude:.3g} m; "
+        f"without the worst hundredth of the tets the element bound would be {gain:.2f} times as large"
+    )

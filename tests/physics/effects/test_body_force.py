@@ -23,7 +23,12 @@ def test_weight_sums_to_that_of_the_solid_and_scales_its_stress_with_the_diagona
     assert load.stress == pytest.approx(9.81 * 3.0 * 3.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("density", [(0.0, 0.0, 0.0), (math.inf, 0.0, 0.0)])
-def test_no_force_and_an_infinite_one_are_refused(density: tuple[float, float, float]) -> None:
-    with pytest.raises(ConfigurationError, match="body_force.density must be finite and not zero"):
-        BodyForce(density=density)
+def test_no_force_loads_nothing(make_box: MakeBox) -> None:
+    load = BodyForce(density=(0.0, 0.0, 0.0)).load(assemble(make_box([0, 1], [0, 1], [0, 1]), Material()))
+    assert not load.nodal_force.any()
+    assert (load.stress, load.report["resultant_N"]) == (0.0, 0.0)
+
+
+def test_an_infinite_force_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="body_force.density must be finite"):
+        BodyForce(density=(math.inf, 0.0, 0.0))

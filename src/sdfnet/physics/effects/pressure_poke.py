@@ -1,9 +1,9 @@
-"""A finger's constant pressure on the part of the surface inside a sphere."""
+"""A finger's pressure on the part of the surface inside a sphere."""
 
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
@@ -11,8 +11,10 @@ from jaxtyping import Bool, Float64
 
 from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.effects.history import History
 from sdfnet.physics.effects.roles import AddsLoad, Load
-from sdfnet.physics.elasticity import ElasticModel, traction_on_patch
+from sdfnet.physics.elasticity import ElasticModel
+from sdfnet.physics.loads import traction_on_patch
 
 logger = logging.getLogger(__name__)
 
@@ -21,21 +23,25 @@ AREA_TOLERANCE = 0.2  # relative; a flat patch is within 0.02 of pi R^2, more me
 
 @dataclass(frozen=True)
 class PressurePoke(AddsLoad):
-    """Pressure on {x on the surface: |x - center| <= radius}, constant from time 0 on (paper section 2, Gamma).
+    """Pressure p in Pa on {x on the surface: |x - center| <= radius}: f = integral of -p n v dS in N (paper section 2, Gamma).
 
-    The sphere also catches a second sheet of surface that it reaches, such as the back of a thin ear.
+    For a touch whose force is known and whose shape does not matter, from time 0 on or as `history` says. The sphere
+    also catches a second sheet of surface that it reaches, such as the back of a thin ear. Not for a finger that stops
+    where it meets resistance, which is a rigid finger, and not for a patch that should follow the surface: it is that
+    at rest.
     """
 
     center: tuple[float, float, float]  # m, on the surface
     radius: float = 0.003  # m
-    pressure: float = 4000.0  # Pa; negative pulls
+    pressure: float = 4000.0  # Pa; negative pulls, zero is the same as no poke
     direction: tuple[float, float, float] | None = None  # of the push; its length does not matter. None: against each face's outward normal
+    history: History = field(default_factory=History)  # the factor on the pressure over time
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.radius) and self.radius > 0):
             raise ConfigurationError(f"poke.radius must be positive and finite, found {self.radius} m")
-        if not (math.isfinite(self.pressure) and self.pressure != 0):
-            raise ConfigurationError(f"poke.pressure must be finite and not zero, found {self.pressure} Pa; remove the effect for no poke")
+        if not math.isfinite(self.pressure):
+            raise ConfigurationError(f"poke.pressure must be finite, found {self.pressure} Pa")
         if self.direction is not None and not (np.isfinite(self.direction).all() and np.any(self.direction)):
             raise ConfigurationError(f"poke.direction must be finite and not zero, found {tuple(self.direction)}; null follows the surface's normal")
 
@@ -55,7 +61,7 @@ class PressurePoke(AddsLoad):
         reaches = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
         near = np.linalg.norm(middles - center, axis=1) <= self.radius + reaches
         direction = None if self.direction is None else np.asarray(self.direction, dtype=np.float64) / np.linalg.norm(self.direction)
-        patch = traction_on_patch(mesh, self.pressure, inside, direction, near)
+        patch = traction_on_patch(model.elements, self.pressure, inside, direction, near)
         if patch.area == 0:
             raise PhysicsError(self._loads_nothing(mesh, center))
         disc = math.pi * self.radius**2
@@ -69,7 +75,7 @@ class PressurePoke(AddsLoad):
             "resultant_N": resultant,
             "disc_resultant_N": abs(self.pressure) * disc,
         }
-        return Load(patch.nodal_force, abs(self.pressure), report)
+        return Load(patch.nodal_force, abs(self.pressure), report, self.history)
 
     def _loads_nothing(self, mesh: TetMesh, center: Float64[np.ndarray, "3"]) -> str:
         triangles = mesh.nodes[mesh.boundary_faces]

@@ -1,0 +1,107 @@
+"""python verify.py: the table of reference cases."""
+
+import csv
+import json
+import logging
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from sdfnet.cli.settings import ALL_CASES, VerifySettings
+from sdfnet.data.store import versions, written_whole
+from sdfnet.errors import PhysicsError
+from sdfnet.verification import CASES, Row, rows_of
+
+UNLIMITED = 1000  # columns, for output that goes into a file: the table takes those that it needs
+
+
+def verify(settings: VerifySettings, output: Path) -> None:
+    """Run the reference cases, print and write exact, found, error and verdict. Raises PhysicsError when a row fails."""
+    names = list(CASES) if settings.case == ALL_CASES else [settings.case]
+    rows: list[Row] = []
+    seconds: dict[str, float] = {}
+    with Progress(transient=True) as bars, _quiet():
+        task = bars.add_task("reference cases", total=len(names))
+        for name in names:
+            began = time.perf_counter()
+            rows += rows_of(name)
+            seconds[name] = time.perf_counter() - began
+            bars.advance(task)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else UNLIMITED)
+    console.print(table_of(rows))
+    _write(output, rows, seconds)
+    failed = [row for row in rows if not row.passes]
+    console.print(f"{len(rows) - len(failed)} of {len(rows)} rows of {len(names)} cases hold, {sum(seconds.values()):.0f} s; written to {output}")
+    if failed:
+        which = "; ".join(f"{row.case} ({row.setup}): {row.quantity}, {_found(row)}" for row in failed)
+        raise PhysicsError(
+            f"every reference case must hold, found {len(failed)} of {len(rows)} rows that do not: {which}. "
+            f"Results of this code are not to be trusted until they do; run python verify.py case={failed[0].case} while mending it"
+        )
+
+
+def table_of(rows: list[Row]) -> Table:
+    """Every row, under the name of its case."""
+    table = Table(title="reference cases", title_justify="left")
+    for name in ("case", "setup", "quantity"):
+        table.add_column(name)
+    for name in ("exact", "found", "error", "tolerance", "verdict"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for before, row in zip([None, *rows], rows, strict=False):
+        is_first = before is None or before.case != row.case
+        if is_first and before is not None:
+            table.add_section()
+        cells = [
+            "" if math.isnan(row.exact) else _number(row.exact, row.unit),
+            _number(row.found, row.unit),
+            "" if math.isnan(row.error) else f"{row.error:.1e}",
+        ]
+        table.add_row(row.case if is_first else "", row.setup, row.quantity, *cells, row.criterion, "holds" if row.passes else "FAILS")
+    return table
+
+
+def _found(row: Row) -> str:
+    """A row in words, for the message of a failure."""
+    exact = "" if math.isnan(row.exact) else f" for {_number(row.exact, row.unit)}, error {row.error:.2g}"
+    return f"{_number(row.found, row.unit)}{exact}, must be {row.criterion}"
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.5g} {unit}".strip()
+
+
+def _write(output: Path, rows: list[Row], seconds: dict[str, float]) -> None:
+    """verification.json and verification.csv: a record for each row; what is not finite is null in the one and empty in the other."""
+    records = [{name: _plain(value) for name, value in asdict(row).items()} | {"passes": row.passes} for row in rows]
+    with written_whole(output / "verification.json") as unfinished:
+        unfinished.write_text(json.dumps({"rows": records, "seconds": seconds, "versions": versions()}, indent=2, allow_nan=False))
+    with written_whole(output / "verification.csv") as unfinished, unfinished.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(records[0]))
+        writer.writeheader()
+        writer.writerows(records)
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no infinity: what is not finite becomes null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the warnings of scenes that are locked, free or at rest on purpose."""
+    physics = logging.getLogger("sdfnet.physics")
+    before = physics.level
+    physics.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        physics.setLevel(before)

@@ -1,0 +1,90 @@
+"""What follows the state, and the other element, in the terms of a reduced model."""
+
+import numpy as np
+import torch
+from scipy.sparse import coo_matrix, csr_matrix, identity, kron, vstack
+
+from sdfnet.physics.advice.reduced_model import Answers, ReducedLaw
+from sdfnet.physics.effects.finite_strain import FiniteStrain
+from sdfnet.physics.effects.roles import ForceLaw
+from sdfnet.physics.elasticity import ElasticModel, assemble
+from sdfnet.physics.elements import FiniteElements
+from sdfnet.physics.mass import mass_of
+from sdfnet.physics.modes import ShiftedStiffness
+from sdfnet.physics.plan import Plan
+
+COUNTERPARTS = {"P1": "P1_nodal_pressure", "P1_nodal_pressure": "P1", "P2": "P1"}  # what each element is compared with
+
+
+def contact(compiled: Plan, law: ForceLaw) -> ReducedLaw:
+    """A force beside the elastic one."""
+    free, size = np.flatnonzero(~compiled.fixed.ravel()), compiled.fixed.size
+
+    def force(displacement: np.ndarray, time: float) -> np.ndarray:
+        nodal = np.zeros(size)
+        nodal[free] = displacement
+        result: np.ndarray = law.force(torch.from_numpy(nodal.reshape(-1, 3)), time).numpy().reshape(-1)[free]
+        return result
+
+    return ReducedLaw(force, law.stable_fraction, True, np.zeros(len(free)))
+
+
+def finite_strain_excess(compiled: Plan, law: ForceLaw | None = None) -> ReducedLaw:
+    """What finite strain, or another elastic law, adds to the linear force of linear tets: f(u) + K u at their corners.
+
+    With other elements the corners' displacements stand for all: the excess is then that of their linear interpolant.
+    """
+    linear = linear_tets(compiled)
+    elastic = FiniteStrain().elastic_law(linear) if law is None else law
+    free, size, corners = np.flatnonzero(~compiled.fixed.ravel()), compiled.fixed.size, linear.elements.nodes.size
+
+    def force(displacement: np.ndarray, time: float) -> np.ndarray:
+        nodal = np.zeros(size)
+        nodal[free] = displacement
+        linear_part = linear.stiffness @ nodal[:corners]
+        nodal[:corners] = elastic.force(torch.from_numpy(nodal[:corners].reshape(-1, 3)), time).numpy().reshape(-1) + linear_part
+        nodal[corners:] = 0.0
+        return nodal[free]
+
+    return ReducedLaw(force, elastic.stable_fraction, False, np.zeros(len(free)))
+
+
+def linear_tets(compiled: Plan) -> ElasticModel:
+    """The scene's solid in P1 elements."""
+    model = compiled.model
+    return model if model.elements.element == "P1" else assemble(model.mesh, model.material, "P1")
+
+
+def counterpart_element(compiled: Plan) -> tuple[csr_matrix, Answers, float]:
+    """Stiffness on the free degrees of freedom and static answers of the element that the scene's is compared with, and the ratio of matrix entries.
+
+    The linear tets beside quadratic ones are these with the middles of the edges held to the means of their ends: the
+    matrix stays, and an answer is E K1^-1 E' f with E the interpolation.
+    """
+    model, free = compiled.model, np.flatnonzero(~compiled.fixed.ravel())
+    if model.elements.is_quadratic:
+        return _held_to_linear(compiled, free)
+    other = assemble(model.mesh, model.material, COUNTERPARTS[model.elements.element])
+    stiffness = csr_matrix(other.stiffness[free][:, free])
+    factor = ShiftedStiffness(stiffness, mass_of("lumped", model, compiled.fixed))
+    return stiffness, factor.solve, other.stiffness.nnz / model.stiffness.nnz
+
+
+def _held_to_linear(compiled: Plan, free: np.ndarray) -> tuple[csr_matrix, Answers, float]:
+    linear = linear_tets(compiled)
+    corners = free[free < linear.elements.nodes.size]
+    extension = csr_matrix(kron(_interpolation(compiled.model.elements), identity(3)))[free][:, corners]
+    factor = ShiftedStiffness(csr_matrix(linear.stiffness[corners][:, corners]), mass_of("lumped", linear, compiled.fixed[: len(linear.elements.nodes)]))
+    ratio = linear.stiffness.nnz / compiled.model.stiffness.nnz
+    return csr_matrix(compiled.model.stiffness[free][:, free]), lambda forces: extension @ factor.solve(extension.T @ forces), ratio
+
+
+def _interpolation(elements: FiniteElements) -> csr_matrix:
+    """From values at the corners to values at all nodes: each middle of an edge is the mean of its ends."""
+    count, middles = len(elements.mesh.nodes), len(elements.nodes) - len(elements.mesh.nodes)
+    pairs = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+    ends = np.empty((middles, 2), dtype=np.int64)
+    for local, pair in enumerate(pairs):
+        ends[elements.tets[:, 4 + local] - count] = elements.tets[:, pair]
+    means = coo_matrix((np.full(2 * middles, 0.5), (np.repeat(np.arange(middles), 2), ends.ravel())), shape=(middles, count))
+    return csr_matrix(vstack([identity(count), means]))

@@ -1,0 +1,206 @@
+"""Cheap runs of a scene and of its variants in reduced coordinates: what an effect would change, before anyone pays for it."""
+
+import math
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.sparse import csr_matrix
+
+from sdfnet.errors import ConfigurationError, PhysicsError
+from sdfnet.physics.advice.reduced_laws import contact, counterpart_element, finite_strain_excess
+from sdfnet.physics.advice.reduced_model import Acting, ReducedLaw, ReducedModel, reduced_model, strongest
+from sdfnet.physics.effects.body_force import BodyForce
+from sdfnet.physics.effects.gravity import Gravity
+from sdfnet.physics.effects.history import CONSTANT, History
+from sdfnet.physics.effects.roles import Damping, ReplacesElasticity
+from sdfnet.physics.modes import ShiftedStiffness
+from sdfnet.physics.motion import TimedLoad
+from sdfnet.physics.plan import STEPS_PER_SEGMENT, Plan
+from sdfnet.physics.trajectory import Trajectory
+
+STEP_ANGLE = 0.25  # omega h of the fastest mode kept: its period errs by (omega h)^2 / 24, 0.3 %
+TOUCH_ANGLE = 0.5  # omega h of the fastest contact
+MOST_STEPS = 20_000  # of a linear trial, about a second; a longer run is followed in longer steps
+MOST_LAW_STEPS = 4_000  # of a trial with a force law: stiffer contacts are followed in longer steps too
+MOST_TET_STEPS = 10_000_000  # tets times steps of such a trial, one to two seconds
+RUNAWAY = 1e3  # diagonals beyond the motion without the law: farther off, a trial has lost its stability
+PROBE = 1e-6  # diagonals by which a contact is pushed in to find its stiffness
+REFINEMENTS = (1, 2, 4)  # of the steps of a trial that does
+
+
+class Trial:
+    """A scene in reduced coordinates, and its variants: how much each would change the displacements.
+
+    Modes and static answers come from one factorisation; each law gets the answers to its forces along the motion
+    without it as coordinates of its own. A change is ||u_variant - u|| / ||u||, squares in the mass norm (at the corners
+    of the tets) summed over all frames. Of several load cases the one that stores the most energy stands for all.
+    """
+
+    def __init__(self, compiled: Plan, trajectory: Trajectory | None = None) -> None:
+        self.compiled, motion, demands = compiled, compiled.equation(), compiled.demands
+        self.times = np.linspace(0.0, compiled.scene.recording.duration, compiled.scene.recording.frames)
+        self.free, self.mass = motion.free, motion.mass
+        self.stiffness = csr_matrix(compiled.model.stiffness[self.free][:, self.free])
+        self.factor = ShiftedStiffness(self.stiffness, self.mass)
+        slowest = reduced_model(self.stiffness, self.mass, self.factor)
+        self.is_held = bool(slowest.squared[0] > self.factor.shift)
+        self.case = self._strongest_case()
+        chosen = {self.case: demands.case_loads[self.case]} if self.case else {}
+        loads = {name: self._load(load.nodal_force, load.history) for name, load in (demands.loads | chosen).items()}
+        self.weight_names = tuple(name for name, effect in compiled.scene.effects.items() if name in loads and isinstance(effect, Gravity | BodyForce))
+        self._weightless = tuple(load for name, load in loads.items() if name not in self.weight_names)
+        self._missing_weight = () if self.weight_names else (self._load(Gravity().load(compiled.model).nodal_force, CONSTANT),)
+        displacement, velocity = motion.displacement[:, 0], motion.velocity[:, 0]
+        self.acting = Acting(tuple(loads.values()), demands.damping, (), displacement, velocity)
+        pushes = [load.force for load in (*loads.values(), *self._missing_weight)]
+        self.model = self._with_answers(slowest, np.concatenate([*pushes, self.mass.product(velocity[:, None])], axis=1))
+        elastic = [name for name in demands.laws if isinstance(compiled.scene.effects[name], ReplacesElasticity)]
+        self.law_names = (*(name for name in demands.laws if name not in elastic), *elastic)  # contact sets the path along which elasticity is tried
+        for name in self.law_names:
+            law = demands.laws[name]
+            self.model, reduced = self._prepared(finite_strain_excess(compiled, law) if name in elastic else contact(compiled, law))
+            self.acting = replace(self.acting, laws=(*self.acting.laws, reduced))
+        self.path = self._bounded(self.model, self.acting, self.acting.laws)
+        self.displacements = self._corners(self.model, self.path) if trajectory is None else self._of_trajectory(trajectory)
+        self.size = self._norm(self.displacements)
+
+    def weight_change(self) -> float:
+        """Of gravity added or, where it acts, taken away."""
+        return self._change(replace(self.acting, loads=(*self._weightless, *self._missing_weight)))
+
+    def damping_change(self, damping: Damping) -> float:
+        """Of this damping instead of the scene's."""
+        return self._change(replace(self.acting, damping=damping))
+
+    def law_change(self, law: ReducedLaw) -> float:
+        """Of one more force law."""
+        model, prepared = self._prepared(law)
+        if model is self.model and not prepared.stiffness.any():
+            return 0.0  # no force along the motion without it
+        return self._change(replace(self.acting, laws=(*self.acting.laws, prepared)), model)
+
+    def law_removal(self, index: int) -> float:
+        """Of one law fewer."""
+        return self._change(self.without_law(index))
+
+    def without_law(self, index: int) -> Acting:
+        """What acts but for one law."""
+        return replace(self.acting, laws=self.acting.laws[:index] + self.acting.laws[index + 1 :])
+
+    def inertia_change(self) -> float:
+        """Of the static answer to the loads of each moment instead of the motion; infinite where nothing holds the solid."""
+        if not self.is_held:
+            return math.inf
+        static = self.model.load(self.acting.loads, self.times) / self.model.squared
+        return self._relative(self._corners(self.model, static) - self.displacements)
+
+    def element_change(self) -> tuple[float, float]:
+        """Of the element's counterpart (`COUNTERPARTS`), and how many times the matrix entries it has."""
+        stiffness, answers, entries = counterpart_element(self.compiled)
+        model = self.model.with_stiffness(stiffness, answers)
+        steps = self._steps_per_frame(self.acting.laws)
+        other = model.motion(self.acting, self.times, steps, self.acting.laws)
+        return self._relative(self._corners(model, other) - self._corners(self.model, self.path)), entries
+
+    @cached_property
+    def governing_frequency(self) -> float:
+        """The angular frequency of the mode that carries most of the motion about its mean, 1/s; the slowest elastic one where nothing moves."""
+        swing = self.path.var(axis=0) * self.model.squared * (self.model.is_mode & (self.model.squared > self.factor.shift))
+        chosen = int(swing.argmax()) if swing.any() else int(np.flatnonzero(self.model.squared > self.factor.shift)[0])
+        return math.sqrt(self.model.squared[chosen])
+
+    def corners_without_law(self, index: int) -> Float64[np.ndarray, "frames nodes 3"]:
+        """The displacements of the trial without one of its laws, m."""
+        path = self.model.motion(self.without_law(index), self.times, self._steps_per_frame(self.acting.laws), self.acting.laws)
+        return self._corners(self.model, path)
+
+    def _strongest_case(self) -> str:
+        """The name of the load case that would store the most energy at rest; empty without load cases."""
+
+        def energy(name: str) -> float:
+            load = self.compiled.demands.case_loads[name]
+            force = load.nodal_force.reshape(-1, 1)[self.free] * max(map(abs, load.history.values))
+            return float((force * self.factor.solve(force)).sum())
+
+        return max(self.compiled.demands.case_loads, key=energy, default="")
+
+    def _load(self, nodal_force: Float64[np.ndarray, "nodes 3"], history: History) -> TimedLoad:
+        return TimedLoad(nodal_force.reshape(-1, 1)[self.free], history)
+
+    def _with_answers(self, model: ReducedModel, forces: Float64[np.ndarray, "dofs columns"]) -> ReducedModel:
+        return model.with_answers(self.stiffness, self.factor.solve, forces)
+
+    def _prepared(self, law: ReducedLaw) -> tuple[ReducedModel, ReducedLaw]:
+        """Coordinates with the answers to a law's forces along the motion without it, and the law with the stiffness of what it touches there."""
+        path = self._bounded(self.model, self.acting, self.acting.laws)
+        forces = np.stack([law.force(self.model.shapes @ q, time) for q, time in zip(path, self.times, strict=True)], axis=1)
+        stiffness = np.zeros(len(self.free))
+        for frame in np.flatnonzero(forces.any(axis=0)) if law.is_contact else ():
+            force, displacement = forces[:, frame], self.model.shapes @ path[frame]
+            deeper = -force * (PROBE * self.compiled.model.mesh.diagonal / np.abs(force).max())  # against its own push
+            change = np.abs(law.force(displacement + deeper, float(self.times[frame])) - force)
+            stiffness = np.maximum(stiffness, np.divide(change, np.abs(deeper), out=np.zeros_like(change), where=deeper != 0))
+        return self._with_answers(self.model, strongest(forces)), replace(law, stiffness=stiffness)
+
+    def _change(self, other: Acting, model: ReducedModel | None = None) -> float:
+        """||u_other - u|| / ||u||; infinite when the trial goes out of bounds at the finest steps too."""
+        model = self.model if model is None else model
+        laws = tuple({id(law): law for law in (*self.acting.laws, *other.laws)}.values())
+        for refinement in REFINEMENTS:
+            steps = refinement * self._steps_per_frame(laws)
+            here, there = (self._corners(model, model.motion(acting, self.times, steps, laws)) for acting in (self.acting, other))
+            if self._is_bounded(here, there) and self._is_bounded(there, here):
+                return self._relative(there - here)
+        return math.inf
+
+    def _bounded(self, model: ReducedModel, acting: Acting, laws: tuple[ReducedLaw, ...]) -> Float64[np.ndarray, "frames coordinates"]:
+        """The motion at steps fine enough for it to stay in bounds. Raises PhysicsError where none are."""
+        linear = self._corners(model, model.motion(replace(acting, laws=()), self.times, self._steps_per_frame(laws), laws)) if acting.laws else None
+        for refinement in REFINEMENTS:
+            path = model.motion(acting, self.times, refinement * self._steps_per_frame(laws), laws)
+            if linear is None or self._is_bounded(self._corners(model, path), linear):
+                return path
+        raise PhysicsError(
+            "a trial of the scene must stay finite to advise on it, found that it does not; simulate the scene with smaller loads, or softer contacts, first"
+        )
+
+    def _is_bounded(self, displacements: np.ndarray, beside: np.ndarray) -> bool:
+        """Whether all is finite and not absurdly far beyond another motion; a NaN is not."""
+        return bool(np.abs(displacements).max() <= RUNAWAY * self.compiled.model.mesh.diagonal + np.abs(beside).max())
+
+    def _steps_per_frame(self, laws: tuple[ReducedLaw, ...]) -> int:
+        """Enough for the fastest mode kept and for every piece of a load's history, as far as the budget allows."""
+        interval, pieces = float(self.times[1]), [float(np.diff(load.history.times).min()) for load in self.acting.loads if not load.history.is_constant]
+        fastest = math.sqrt(self.model.squared[self.model.is_mode].max()) / STEP_ANGLE
+        shapes = self.model.shapes
+        touch = max((float(np.linalg.eigvalsh(shapes.T @ (law.stiffness[:, None] * shapes))[-1]) for law in laws if law.stiffness.any()), default=0.0)
+        wanted = max(interval * fastest, interval * math.sqrt(touch) / TOUCH_ANGLE, *(STEPS_PER_SEGMENT * interval / piece for piece in pieces))
+        most = min(MOST_LAW_STEPS, MOST_TET_STEPS / len(self.compiled.model.mesh.tets)) if laws else MOST_STEPS
+        return max(1, math.ceil(min(wanted, most / (len(self.times) - 1))))
+
+    def _corners(self, model: ReducedModel, path: Float64[np.ndarray, "frames coordinates"]) -> Float64[np.ndarray, "frames nodes 3"]:
+        """Displacements at the corners of the tets, m."""
+        values = np.zeros((len(path), self.compiled.fixed.size))
+        with np.errstate(over="ignore", invalid="ignore"):
+            values[:, self.free] = path @ model.shapes.T
+        return values.reshape(len(path), -1, 3)[:, : len(self.compiled.model.mesh.nodes)]
+
+    def _of_trajectory(self, trajectory: Trajectory) -> Float64[np.ndarray, "frames nodes 3"]:
+        """The frames of the case that the trial is about."""
+        frames = (trajectory.case(self.case) if self.case else trajectory).displacements
+        expected = (len(self.times), *self.compiled.model.mesh.nodes.shape)
+        if frames.shape != expected:
+            raise ConfigurationError(f"the trajectory must be a run of this scene with shape {expected}, found {frames.shape}; simulate the scene again")
+        return frames
+
+    def _relative(self, difference: Float64[np.ndarray, "frames nodes 3"]) -> float:
+        """Its norm over that of the displacements; infinite beside a scene in which nothing moves."""
+        size = self._norm(difference)
+        return size / self.size if self.size > 0 else math.inf if size > 0 else 0.0
+
+    def _norm(self, displacements: Float64[np.ndarray, "frames nodes 3"]) -> float:
+        mesh = self.compiled.model.mesh
+        weights = np.bincount(mesh.tets.ravel(), np.repeat(mesh.volumes / 4, 4), minlength=len(mesh.nodes))
+        return math.sqrt(float(np.einsum("n,fnc->", weights, displacements**2)))

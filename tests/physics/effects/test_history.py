@@ -1,0 +1,55 @@
+"""How a load changes with time."""
+
+import numpy as np
+import pytest
+
+from sdfnet.errors import ConfigurationError
+from sdfnet.physics.effects.history import CONSTANT, History, pulse, ramp
+
+
+def test_without_numbers_a_load_is_constant_and_full() -> None:
+    assert CONSTANT.is_constant
+    assert [CONSTANT.factor(time) for time in (-1.0, 0.0, 7.0)] == [1.0, 1.0, 1.0]
+
+
+def test_one_value_at_all_times_is_constant() -> None:
+    assert History((0.0, 1.0), (2.0, 2.0)).is_constant
+    assert not History((0.0, 1.0), (2.0, 2.5)).is_constant
+
+
+def test_a_table_is_joined_by_straight_lines_and_goes_on_at_both_ends() -> None:
+    table = History((1.0, 2.0, 4.0), (0.0, 3.0, -1.0))
+    assert not table.is_constant
+    assert [table.factor(time) for time in (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 9.0)] == [0.0, 0.0, 1.5, 3.0, 1.0, -1.0, -1.0]
+
+
+def test_a_ramp_rises_to_full_strength_and_stays() -> None:
+    assert [ramp(0.5).factor(time) for time in (0.0, 0.25, 0.5, 3.0)] == [0.0, 0.5, 1.0, 1.0]
+
+
+def test_a_pulse_is_half_a_sine_to_3e_4_and_nothing_outside() -> None:
+    times = np.linspace(0.2, 0.6, 1001)
+    found = np.array([pulse(0.2, 0.6).factor(time) for time in times])
+    error = np.abs(found - np.sin(np.pi * (times - 0.2) / 0.4)).max()
+    assert 1e-4 < error < 3.1e-4  # (pi/64)^2 / 8 is 3.01e-4
+    assert (pulse(0.2, 0.6).factor(0.19), pulse(0.2, 0.6).factor(0.6), pulse(0.2, 0.6).factor(0.7)) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "message"),
+    [
+        ((0.0, 1.0), (1.0,), "must be equally many and not empty, found 2 and 1"),
+        ((), (), "must be equally many and not empty, found 0 and 0"),
+        ((0.0, 0.0), (1.0, 2.0), "history.times must rise and all numbers be finite"),
+        ((0.0, 1.0), (1.0, float("nan")), "history.times must rise and all numbers be finite"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(times: tuple[float, ...], values: tuple[float, ...], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        History(times, values)
+
+
+def test_a_ramp_and_a_pulse_that_take_no_time_are_refused() -> None:
+    for made in (lambda: ramp(0.0), lambda: pulse(1.0, 1.0), lambda: pulse(1.0, 0.5)):
+        with pytest.raises(ConfigurationError, match="history.times must rise"):
+            made()

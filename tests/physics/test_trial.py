@@ -1,0 +1,71 @@
+"""The coordinates and numbers of a trial, each against what it stands for."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sdfnet.geometry.solids import Box, Sphere
+from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.advice.numbers import deformation
+from sdfnet.physics.advice.reduced_laws import counterpart_element
+from sdfnet.physics.advice.trial import Trial
+from sdfnet.physics.effects.finite_strain import FiniteStrain
+from sdfnet.physics.effects.floor_contact import FloorContact
+from sdfnet.physics.effects.gravity import Gravity
+from sdfnet.physics.effects.initial_motion import InitialMotion
+from sdfnet.physics.effects.pinned import Pinned
+from sdfnet.physics.effects.rigid_finger import RigidFinger
+from sdfnet.physics.plan import plan
+from sdfnet.physics.simulate import run
+from sdfnet.physics.statics import static_solution
+from sdfnet.scene import Geometry, Recording, Scene, Solver
+
+BLOCK = Box((0.1, 0.1, 0.1), (5, 5, 5)).tet_mesh()
+BALL = TetMesh(Sphere(0.05, 4).tet_mesh().nodes + [0.0, 0.0, 0.051], Sphere(0.05, 4).tet_mesh().tets)
+THROWN = Scene(Geometry(), {"throw": InitialMotion(velocity=(0.0, 0.0, -1.0))}, recording=Recording(0.005, 21))
+
+
+def test_a_finger_alone_moves_the_trial_as_it_does_the_solid() -> None:
+    finger = RigidFinger(center=(0.05, 0.05, 0.131), radius=0.03, speed=5.0, travel=0.011)
+    compiled = plan(Scene(Geometry(), {"foot": Pinned(), "finger": finger}, recording=Recording(0.004, 11)), BLOCK)
+    assert Trial(compiled).size == pytest.approx(Trial(compiled, run(compiled)).size, rel=0.3)  # the trial's contact gives way as a whole
+
+
+def test_a_stiffer_floor_does_not_throw_the_trial() -> None:
+    laws = [{"floor": FloorContact(stiffness_factor=factor)} for factor in (10.0, 1e5)]
+    soft, stiff = (Trial(plan(replace(THROWN, effects={**THROWN.effects, **law}), BALL)) for law in laws)
+    assert stiff.size == pytest.approx(soft.size, rel=0.1)  # the softer one gives way by a tenth of an edge at most
+
+
+def test_answers_of_linear_tets_beside_quadratic_ones_are_those_of_linear_tets() -> None:
+    effects = {"foot": Pinned(), "weight": Gravity((1.0, 2.0, 3.0))}
+    quadratic, linear = (plan(Scene(Geometry(), effects, solver=Solver("newmark", element=element)), BLOCK) for element in ("P2", "P1"))
+    _, answers, _ = counterpart_element(quadratic)
+    found = np.zeros(quadratic.fixed.size)
+    motion = quadratic.equation()
+    found[motion.free] = answers(motion.constant_force)[:, 0]
+    exact = static_solution(linear)
+    np.testing.assert_allclose(
+        found.reshape(-1, 3)[: len(BLOCK.nodes)], exact, atol=1e-6 * np.abs(exact).max(), rtol=0
+    )  # of which the factor's shift takes its part
+
+
+def test_a_rigid_turn_is_read_as_its_angle() -> None:
+    angle = 0.5
+    turn = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]])
+    turned = (BLOCK.nodes @ turn.T - BLOCK.nodes)[None]
+    found = deformation(BLOCK, np.concatenate([0 * turned, turned]), np.array([0.0, 0.1]))
+    assert found.rotation == pytest.approx(angle)
+    assert found.gradient == pytest.approx(math.sqrt(8) * math.sin(angle / 2))
+    assert found.speed == pytest.approx(10 * np.linalg.norm(turned, axis=2).max())
+
+
+def test_coordinates_are_orthogonal_in_mass_and_stiffness_after_every_law() -> None:
+    trial = Trial(plan(replace(THROWN, effects={**THROWN.effects, "floor": FloorContact(), "finite": FiniteStrain()}), BALL))
+    model = trial.model
+    squared = model.shapes.T @ (trial.stiffness @ model.shapes)
+    assert len(model.squared) > 20
+    np.testing.assert_allclose(model.shapes.T @ trial.mass.product(model.shapes), np.eye(len(model.squared)), atol=1e-9)
+    np.testing.assert_allclose(squared, np.diag(model.squared), atol=1e-9 * model.squared.max())  # else laws would do work from nowhere

@@ -1,0 +1,6 @@
+"""python verify.py: see conf/verify.yaml."""
+
+from sdfnet.cli import verify
+
+if __name__ == "__main__":
+    verify()
