@@ -10,7 +10,7 @@ from sdfnet.geometry.distance import signed_distance
 from sdfnet.geometry.inspection import require_closed
 from sdfnet.geometry.surface import Surface
 from sdfnet.geometry.tetmesh import TetMesh
-from sdfnet.geometry.tetrahedralise import tetrahedralise
+from sdfnet.geometry.tetrahedralise import neighbours_together, tetrahedralise
 
 ENVELOPE = 1e-3
 
@@ -35,6 +35,14 @@ def test_the_tets_fill_the_surface(ball: Surface, filled: TetMesh) -> None:
 def test_the_boundary_stays_inside_the_envelope(ball: Surface, filled: TetMesh) -> None:
     distances = signed_distance(torch.from_numpy(filled.surface().vertices).float(), ball).abs()
     assert float(distances.max()) <= ENVELOPE * ball.diagonal
+
+
+def test_numbering_neighbours_together_changes_no_tet_and_shortens_the_band(filled: TetMesh) -> None:
+    shuffle = np.random.default_rng(0).permutation(len(filled.nodes))
+    shuffled = TetMesh(filled.nodes[shuffle], np.argsort(shuffle)[filled.tets])
+    ordered = neighbours_together(shuffled)
+    np.testing.assert_array_equal(ordered.nodes[ordered.tets], filled.nodes[filled.tets])
+    assert np.ptp(ordered.tets, axis=1).mean() < 0.3 * np.ptp(shuffled.tets, axis=1).mean()
 
 
 def test_a_shorter_edge_gives_more_tets() -> None:

@@ -24,7 +24,7 @@ WEIGHT = BodyForce(density=(0.0, 0.0, -3.0))
 POKE = PressurePoke(center=(0.5, 0.5, 1.0), radius=0.3, pressure=10.0)
 POKES: dict[str, Effect] = {"top": POKE, "side": replace(POKE, center=(1.0, 0.5, 0.6)), "pull": replace(POKE, center=(0.4, 0.0, 0.7), pressure=-20.0)}
 SCENE = Scene(Geometry(), {"foot": Pinned(), "weight": WEIGHT}, recording=Recording(duration=0.02, frames=4), load_cases=POKES)
-ALONE = 1e-13  # relative: sums of the same products in another order
+ALONE = {"cpu": 1e-14, "cuda": 1e-12}  # relative: sums of the same products in another order; those of CUDA beside single runs on the CPU
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def require_each_as_alone(scene: Scene, mesh: TetMesh, device: str = "cpu") -> N
         found = together.case(name)
         np.testing.assert_array_equal(found.times, alone.times)
         assert found.time_step == alone.time_step
-        np.testing.assert_allclose(found.displacements, alone.displacements, rtol=0, atol=ALONE * np.abs(alone.displacements).max())
+        np.testing.assert_allclose(found.displacements, alone.displacements, rtol=0, atol=ALONE[device] * np.abs(alone.displacements).max())
         assert np.abs(alone.displacements).max() > 0
 
 

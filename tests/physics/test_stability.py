@@ -89,7 +89,7 @@ def test_guaranteed_bounds_stay_below_the_truth_and_are_of_use(make_box: MakeBox
 
 @pytest.mark.parametrize("element", ELEMENTS)
 @pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("strength", [0.0, 0.3, 30.0])
+@pytest.mark.parametrize("strength", [0.0, 30.0])
 def test_the_bounds_hold_on_random_meshes_and_with_the_stiffness_of_contact(element: str, seed: int, strength: float) -> None:
     generator = np.random.default_rng(seed)
     mesh = random_tets(generator)

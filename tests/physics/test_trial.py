@@ -9,13 +9,14 @@ import pytest
 from sdfnet.geometry.solids import Box, Sphere
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.advice.numbers import deformation
-from sdfnet.physics.advice.reduced_laws import counterpart_element
+from sdfnet.physics.advice.reduced_laws import counterpart_element, finite_strain_excess
 from sdfnet.physics.advice.trial import Trial
 from sdfnet.physics.effects.finite_strain import FiniteStrain
 from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.gravity import Gravity
 from sdfnet.physics.effects.initial_motion import InitialMotion
 from sdfnet.physics.effects.pinned import Pinned
+from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.effects.rigid_finger import RigidFinger
 from sdfnet.physics.plan import plan
 from sdfnet.physics.simulate import run
@@ -47,9 +48,8 @@ def test_answers_of_linear_tets_beside_quadratic_ones_are_those_of_linear_tets()
     motion = quadratic.equation()
     found[motion.free] = answers(motion.constant_force)[:, 0]
     exact = static_solution(linear)
-    np.testing.assert_allclose(
-        found.reshape(-1, 3)[: len(BLOCK.nodes)], exact, atol=1e-6 * np.abs(exact).max(), rtol=0
-    )  # of which the factor's shift takes its part
+    tolerance = 1e-6 * np.abs(exact).max()  # of which the factor's shift takes its part
+    np.testing.assert_allclose(found.reshape(-1, 3)[: len(BLOCK.nodes)], exact, atol=tolerance, rtol=0)
 
 
 def test_a_rigid_turn_is_read_as_its_angle() -> None:
@@ -69,3 +69,14 @@ def test_coordinates_are_orthogonal_in_mass_and_stiffness_after_every_law() -> N
     assert len(model.squared) > 20
     np.testing.assert_allclose(model.shapes.T @ trial.mass.product(model.shapes), np.eye(len(model.squared)), atol=1e-9)
     np.testing.assert_allclose(squared, np.diag(model.squared), atol=1e-9 * model.squared.max())  # else laws would do work from nowhere
+
+
+def test_finite_strain_changes_quadratic_elements_about_as_much_as_linear_ones() -> None:
+    effects = {"foot": Pinned(), "poke": PressurePoke((0.05, 0.05, 0.1), 0.02, 400.0)}
+    changes = {}
+    for element, cells in (("P1", 5), ("P1_nodal_pressure", 5), ("P2", 3)):
+        mesh = Box((0.1, 0.1, 0.1), (cells, cells, cells)).tet_mesh()
+        compiled = plan(Scene(Geometry(), effects, recording=Recording(0.01, 21), solver=Solver("newmark", element=element)), mesh)
+        changes[element] = Trial(compiled).law_change(finite_strain_excess(compiled))
+    assert changes["P1_nodal_pressure"] == pytest.approx(changes["P1"], rel=0.7)  # softer, and so strained more
+    assert changes["P2"] == pytest.approx(changes["P1"], rel=0.7)

@@ -10,6 +10,8 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 
 import sdfnet.cli
+import sdfnet.verification
+from sdfnet.errors import PhysicsError
 from sdfnet.verification.row import Row, absolute, between, relative
 
 Verify = Callable[..., tuple[int, str, str]]
@@ -76,6 +78,19 @@ def test_a_row_that_fails_ends_the_command_with_code_1_and_is_named_after_the_wh
     assert out.count("FAILS") == 2
     assert "found 2 of 5 rows that do not: broken (leapfrog): order, 1.01 for 2, error 0.99, must be <= 0.2; broken (newmark): order, nan" in err
     assert "python verify.py case=broken" in err
+
+
+def test_a_case_that_cannot_be_run_is_named_with_the_reason_and_the_others_are_run(verify: Verify, two_cases: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped() -> Iterator[Row]:
+        yield absolute("leapfrog", "order", 2.0, 2.0, 0.2)
+        raise PhysicsError("the solid is nowhere held")
+
+    monkeypatch.setitem(sdfnet.verification.CASES, "broken", stopped)
+    code, out, err = verify()
+    assert code == 1
+    assert "Traceback" not in out + err
+    assert out.count("holds") == 2
+    assert "found 1 of 3 rows that do not: broken (the solid is nowhere held): cannot be run" in err
 
 
 def test_the_files_hold_every_row_also_when_one_fails(verify: Verify, two_cases: None) -> None:

@@ -18,7 +18,7 @@ from rich.table import Table
 
 from sdfnet.cli.settings import ALL_CASES, VerifySettings
 from sdfnet.data.store import versions, written_whole
-from sdfnet.errors import PhysicsError
+from sdfnet.errors import PhysicsError, SdfnetError
 from sdfnet.verification import CASES, Row, rows_of
 
 UNLIMITED = 1000  # columns, for output that goes into a file: the table takes those that it needs
@@ -33,7 +33,7 @@ def verify(settings: VerifySettings, output: Path) -> None:
         task = bars.add_task("reference cases", total=len(names))
         for name in names:
             began = time.perf_counter()
-            rows += rows_of(name)
+            rows += _rows_or_reason(name)
             seconds[name] = time.perf_counter() - began
             bars.advance(task)
     console = Console(highlight=False, width=None if sys.stdout.isatty() else UNLIMITED)
@@ -47,6 +47,14 @@ def verify(settings: VerifySettings, output: Path) -> None:
             f"every reference case must hold, found {len(failed)} of {len(rows)} rows that do not: {which}. "
             f"Results of this code are not to be trusted until they do; run python verify.py case={failed[0].case} while mending it"
         )
+
+
+def _rows_or_reason(name: str) -> list[Row]:
+    """The rows of a case; one that fails and says why when the case cannot be run, so that the others still are."""
+    try:
+        return rows_of(name)
+    except SdfnetError as error:
+        return [Row(str(error), "cannot be run", math.nan, math.nan, math.nan, 0.0, case=name)]
 
 
 def table_of(rows: list[Row]) -> Table:

@@ -11,6 +11,7 @@ from sdfnet.physics.advice.costs import damping_cost, law_cost
 from sdfnet.physics.advice.numbers import SMALLEST_CHANGE, SMALLEST_LOSS, Number, deformation, element_numbers, gap, strain_numbers, transits, weight_numbers
 from sdfnet.physics.advice.reduced_laws import COUNTERPARTS, contact, finite_strain_excess, linear_tets
 from sdfnet.physics.advice.trial import Trial
+from sdfnet.physics.effects.body_force import BodyForce
 from sdfnet.physics.effects.finite_strain import FiniteStrain
 from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.gravity import Gravity
@@ -18,7 +19,7 @@ from sdfnet.physics.effects.roles import Damping
 from sdfnet.physics.plan import LARGEST_LINEAR_STRAIN, Plan
 from sdfnet.physics.trajectory import Trajectory
 
-TYPICAL_RATIO = 0.02  # damping ratio of soft solids such as rubber and plastics, assumed where the scene has no damping
+TYPICAL_RATIO = 0.02  # damping ratio assumed where the scene has no damping: rubber and plastics have some hundredths
 WIDTH = 120  # of the sentences under the table
 
 CALLED_FOR, LEFT_OUT, NEEDED, COULD_GO = "called for", "can be left out", "present and needed", "present, could go"
@@ -33,9 +34,7 @@ class Advice:
     value: float
     threshold: float  # beyond it the number by itself speaks for the effect
     verdict: str  # called for, can be left out, present and needed, or present, could go
-    predicted_change: (
-        float  # of the displacements, in the mass norm over all frames, if it were added or taken away; infinite, or not a number where no trial can tell
-    )
+    predicted_change: float  # of the displacements, in the mass norm over all frames, if it were added or taken away; infinite or NaN where no trial can tell
     cost: str
     sentence: str  # what to do
 
@@ -63,9 +62,7 @@ def lines(advice: Sequence[Advice]) -> list[str]:
         head = f"{row.effect:<18}{row.verdict:<20}{_percent(row.predicted_change):>9}" if is_first else 47 * " "
         table.append(f"{head}  {row.number:<52}{row.value:>10.3g}{row.threshold:>11.3g}")
         if index + 1 == len(advice) or advice[index + 1].effect != shown:
-            table += [
-                line for text in (row.sentence, f"cost: {row.cost}") for line in textwrap.wrap(text, WIDTH, initial_indent=4 * " ", subsequent_indent=8 * " ")
-            ]
+            table += [line for text in (row.sentence, f"cost: {row.cost}") for line in _wrapped(text)]
     return table
 
 
@@ -82,11 +79,14 @@ def typical_damping(trial: Trial) -> Damping:
 
 def _gravity(trial: Trial) -> list[Advice]:
     compiled, demands = trial.compiled, trial.compiled.demands
-    change, is_present = trial.weight_change(), bool(trial.weight_names)
-    weight = sum(demands.loads[name].stress for name in trial.weight_names) if is_present else Gravity().load(compiled.model).stress
-    numbers = weight_numbers(compiled, weight, demands.stress - is_present * weight)
-    verdict = _verdict(is_present, change >= SMALLEST_CHANGE)
-    return _rows("gravity", numbers, verdict, change, "nothing per step: a constant load", _sentence(verdict, "gravity", change))
+    change, acting = trial.weight_change(), [demands.loads[name] for name in trial.weight_names]
+    weight = sum(load.stress * max(map(abs, load.history.values)) for load in acting)
+    numbers = weight_numbers(compiled, weight or Gravity().load(compiled.model).stress, demands.stress - weight)
+    verdict = _verdict(bool(acting), change >= SMALLEST_CHANGE)
+    sentence = _sentence(verdict, "gravity", change)
+    if verdict == CALLED_FOR and any(isinstance(effect, BodyForce) for effect in compiled.scene.effects.values()):
+        sentence += ", unless the body force of this scene is the weight already"
+    return _rows("gravity", numbers, verdict, change, "nothing per step while it is constant, a vector added where a history makes it change", sentence)
 
 
 def _damping(trial: Trial) -> list[Advice]:
@@ -113,10 +113,9 @@ def _finite_strain(trial: Trial) -> list[Advice]:
         f"the displacement gradient reaches {found.gradient:.2g}, valid up to {LARGEST_LINEAR_STRAIN:g}"
     )
     law = compiled.demands.laws[trial.law_names[-1]] if is_present else FiniteStrain().elastic_law(linear_tets(compiled))
-    needs = "" if compiled.scene.solver.element == "P1" else " It needs solver.element=P1."
-    return _rows(
-        "finite_strain", strain_numbers(compiled, found), verdict, change, law_cost(compiled, law, True) + needs, sentence + _one_by_one(compiled, verdict)
-    )
+    needs = "" if compiled.scene.solver.element == "P1" else "; it needs solver.element=P1"
+    cost = law_cost(compiled, law, True) + needs
+    return _rows("finite_strain", strain_numbers(compiled, found), verdict, change, cost, sentence + _one_by_one(compiled, verdict))
 
 
 def _floor(trial: Trial) -> list[Advice]:
@@ -164,7 +163,9 @@ def _inertia(trial: Trial) -> list[Advice]:
     change, steps = trial.inertia_change(), trial.compiled.steps
     is_needed = change >= SMALLEST_CHANGE or bool(trial.law_names)
     sentence = f"keep the motion: the static solution at each moment differs from it by {_percent(change)}"
-    if not trial.is_held:
+    if trial.law_names:
+        sentence = "keep the motion: a static solution knows no force that follows the state"
+    elif not trial.is_held:
         sentence = "keep the motion: nothing holds the solid, and a static solution needs that"
     elif not is_needed:
         sentence = f"static_solution(plan) would do: it differs from the motion by {_percent(change)}"
@@ -191,6 +192,10 @@ def _sentence(verdict: str, what: str, change: float) -> str:
 
 def _one_by_one(compiled: Plan, verdict: str) -> str:
     return "; simulate the load cases one by one then" if compiled.scene.load_cases and verdict == CALLED_FOR else ""
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=4 * " ", subsequent_indent=8 * " ")
 
 
 def _percent(change: float) -> str:

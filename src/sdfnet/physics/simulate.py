@@ -125,6 +125,7 @@ def _made_how(compiled: Plan, seconds: float, watch: EnergyWatch) -> Report:
         "steps_per_frame": compiled.steps_per_frame,
         **of_limits,
         "energy_drift": watch.drift,
+        "law_energy_error": watch.law_error,
         "step_seconds": seconds,
     }
 

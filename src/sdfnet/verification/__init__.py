@@ -35,7 +35,7 @@ CASES: dict[str, Case] = {
 
 
 def rows_of(name: str) -> list[Row]:
-    """Run one reference case; its docstring has the equation. Nothing is caught: a case that cannot be run is no row."""
+    """Run one reference case; its docstring has the equation. Raises what its scenes raise: a case that cannot be run has no rows."""
     return [replace(row, case=name) for row in CASES[name]()]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import torch
 
-from sdfnet.physics.effects.roles import Damping, ForceLaw
+from sdfnet.physics.effects.roles import ConservingLaw, Damping, ForceLaw
 from sdfnet.physics.integrators.integrator import torch_csr
 from sdfnet.physics.plan import Plan
 from sdfnet.physics.stability import damped_limit
@@ -28,11 +28,12 @@ def law_cost(compiled: Plan, law: ForceLaw, replaces_elasticity: bool) -> str:
     displacement = torch.zeros(law.added_stiffness().shape[0], 3, dtype=torch.float64)
     matrix, column = torch_csr(compiled.model.stiffness), torch.zeros(compiled.fixed.size, 1, dtype=torch.float64)
     plain, forced = _seconds(lambda: matrix @ column), _seconds(lambda: law.force(displacement.clone(), 0.0))
-    per_step = (
-        f"one force law per step, about {forced / plain:.2g} times the sparse product of a plain step{', which it replaces' if replaces_elasticity else ''}"
-    )
+    place = ", which it replaces" if replaces_elasticity else ""
+    per_step = f"one force law per step, about {forced / plain:.2g} times the sparse product of a plain step{place}"
     if compiled.limits is None:
         return f"{per_step}; and it needs solver.integrator=leapfrog"
+    if isinstance(law, ConservingLaw) and compiled.scene.solver.mass != "lumped":
+        per_step += "; it needs solver.mass=lumped"
     masses = compiled.model.lumped_mass[: len(displacement)]
     contact = float((law.added_stiffness() / masses).max()) * (compiled.limits.lumped / 2) ** 2
     return per_step + _more_steps(math.sqrt(1 + contact) / law.stable_fraction)

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from scipy.sparse import coo_matrix, csr_matrix, identity, kron, vstack
 
+from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.advice.reduced_model import Answers, ReducedLaw
 from sdfnet.physics.effects.finite_strain import FiniteStrain
 from sdfnet.physics.effects.roles import ForceLaw
@@ -14,6 +15,8 @@ from sdfnet.physics.modes import ShiftedStiffness
 from sdfnet.physics.plan import Plan
 
 COUNTERPARTS = {"P1": "P1_nodal_pressure", "P1_nodal_pressure": "P1", "P2": "P1"}  # what each element is compared with
+# The eight parts of a quadratic tet: one at each corner, four around the line between the middles of two opposite edges.
+QUADRATIC_PARTS = np.array([[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3], [4, 9, 5, 6], [4, 9, 6, 7], [4, 9, 7, 8], [4, 9, 8, 5]])
 
 
 def contact(compiled: Plan, law: ForceLaw) -> ReducedLaw:
@@ -30,21 +33,20 @@ def contact(compiled: Plan, law: ForceLaw) -> ReducedLaw:
 
 
 def finite_strain_excess(compiled: Plan, law: ForceLaw | None = None) -> ReducedLaw:
-    """What finite strain, or another elastic law, adds to the linear force of linear tets: f(u) + K u at their corners.
+    """What finite strain, or another elastic law, adds to the linear force of linear tets: f(u) + K u.
 
-    With other elements the corners' displacements stand for all: the excess is then that of their linear interpolant.
+    With quadratic elements the linear tets are the eight that its nodes cut each tet into.
     """
-    linear = linear_tets(compiled)
+    linear = linear_tets_on_all_nodes(compiled)
     elastic = FiniteStrain().elastic_law(linear) if law is None else law
-    free, size, corners = np.flatnonzero(~compiled.fixed.ravel()), compiled.fixed.size, linear.elements.nodes.size
+    free, size = np.flatnonzero(~compiled.fixed.ravel()), compiled.fixed.size
 
     def force(displacement: np.ndarray, time: float) -> np.ndarray:
         nodal = np.zeros(size)
         nodal[free] = displacement
-        linear_part = linear.stiffness @ nodal[:corners]
-        nodal[:corners] = elastic.force(torch.from_numpy(nodal[:corners].reshape(-1, 3)), time).numpy().reshape(-1) + linear_part
-        nodal[corners:] = 0.0
-        return nodal[free]
+        linear_part = linear.stiffness @ nodal
+        result: np.ndarray = elastic.force(torch.from_numpy(nodal.reshape(-1, 3)), time).numpy().reshape(-1)[free] + linear_part[free]
+        return result
 
     return ReducedLaw(force, elastic.stable_fraction, False, np.zeros(len(free)))
 
@@ -53,6 +55,14 @@ def linear_tets(compiled: Plan) -> ElasticModel:
     """The scene's solid in P1 elements."""
     model = compiled.model
     return model if model.elements.element == "P1" else assemble(model.mesh, model.material, "P1")
+
+
+def linear_tets_on_all_nodes(compiled: Plan) -> ElasticModel:
+    """The scene's solid in P1 elements whose corners are the nodes of the scene's elements."""
+    elements = compiled.model.elements
+    if not elements.is_quadratic:
+        return linear_tets(compiled)
+    return assemble(TetMesh(elements.nodes, elements.tets[:, QUADRATIC_PARTS].reshape(-1, 4)), compiled.model.material, "P1")
 
 
 def counterpart_element(compiled: Plan) -> tuple[csr_matrix, Answers, float]:

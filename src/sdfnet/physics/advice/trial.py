@@ -11,7 +11,6 @@ from scipy.sparse import csr_matrix
 from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.physics.advice.reduced_laws import contact, counterpart_element, finite_strain_excess
 from sdfnet.physics.advice.reduced_model import Acting, ReducedLaw, ReducedModel, reduced_model, strongest
-from sdfnet.physics.effects.body_force import BodyForce
 from sdfnet.physics.effects.gravity import Gravity
 from sdfnet.physics.effects.history import CONSTANT, History
 from sdfnet.physics.effects.roles import Damping, ReplacesElasticity
@@ -49,7 +48,7 @@ class Trial:
         self.case = self._strongest_case()
         chosen = {self.case: demands.case_loads[self.case]} if self.case else {}
         loads = {name: self._load(load.nodal_force, load.history) for name, load in (demands.loads | chosen).items()}
-        self.weight_names = tuple(name for name, effect in compiled.scene.effects.items() if name in loads and isinstance(effect, Gravity | BodyForce))
+        self.weight_names = tuple(name for name, effect in compiled.scene.effects.items() if name in loads and isinstance(effect, Gravity))
         self._weightless = tuple(load for name, load in loads.items() if name not in self.weight_names)
         self._missing_weight = () if self.weight_names else (self._load(Gravity().load(compiled.model).nodal_force, CONSTANT),)
         displacement, velocity = motion.displacement[:, 0], motion.velocity[:, 0]
@@ -162,9 +161,7 @@ class Trial:
             path = model.motion(acting, self.times, refinement * self._steps_per_frame(laws), laws)
             if linear is None or self._is_bounded(self._corners(model, path), linear):
                 return path
-        raise PhysicsError(
-            "a trial of the scene must stay finite to advise on it, found that it does not; simulate the scene with smaller loads, or softer contacts, first"
-        )
+        raise PhysicsError("a trial of the scene must stay finite to advise on it, found that it does not; simulate the scene with smaller loads first")
 
     def _is_bounded(self, displacements: np.ndarray, beside: np.ndarray) -> bool:
         """Whether all is finite and not absurdly far beyond another motion; a NaN is not."""
@@ -177,7 +174,8 @@ class Trial:
         shapes = self.model.shapes
         touch = max((float(np.linalg.eigvalsh(shapes.T @ (law.stiffness[:, None] * shapes))[-1]) for law in laws if law.stiffness.any()), default=0.0)
         wanted = max(interval * fastest, interval * math.sqrt(touch) / TOUCH_ANGLE, *(STEPS_PER_SEGMENT * interval / piece for piece in pieces))
-        most = min(MOST_LAW_STEPS, MOST_TET_STEPS / len(self.compiled.model.mesh.tets)) if laws else MOST_STEPS
+        n_tets = len(self.compiled.model.mesh.tets) * (8 if self.compiled.model.elements.is_quadratic else 1)
+        most = min(MOST_LAW_STEPS, MOST_TET_STEPS / n_tets) if laws else MOST_STEPS
         return max(1, math.ceil(min(wanted, most / (len(self.times) - 1))))
 
     def _corners(self, model: ReducedModel, path: Float64[np.ndarray, "frames coordinates"]) -> Float64[np.ndarray, "frames nodes 3"]:

@@ -32,7 +32,7 @@ class RigidFinger(FollowsState):
     points on the faces, so the force has the exact potential 1/2 k depth^2 dA. No friction, no adhesion.
 
     For a poke whose depth is known and not its pressure, and for an obstacle to fall on (travel 0). Not for a ball
-    smaller than a sixth of the faces under it, nor for one that is fast against the waves in the solid.
+    smaller than an eighth of the faces' edges, nor for one that is fast against the waves in the solid.
     """
 
     center: tuple[float, float, float]  # m, at time 0, outside the solid

@@ -12,6 +12,8 @@ from sdfnet.physics.integrators.integrator import Integrator, State, torch_csr
 from sdfnet.physics.mass import LumpedMass
 from sdfnet.physics.motion import EquationOfMotion, NodePlaces
 
+COLUMNS_AT_ONCE = 8  # of the bunny's 12,000 unknowns: displacement and velocity of more leave a core's cache, and each then takes twice as long
+
 
 class ExplicitIntegrator(Integrator):
     """v <- v + h M^-1 (f - C v - K u), then u <- u + h v: one sparse product a step, also with Rayleigh damping.
@@ -38,6 +40,8 @@ class ExplicitIntegrator(Integrator):
         conserving = [(law, motion.places(law.nodes)) for law in motion.laws if isinstance(law, ConservingLaw)]
         mobility = self._scaled(torch.full_like(self._load, time_step**2))  # how far a newton moves a degree of freedom in a step, m
         self._conserving = [(law, places, places.of(mobility)) for law, places in conserving]
+        self._is_plain = motion.is_conservative and self._inverse_mass is not None and self._matrix is not None
+        self._loaded = self._load.any(dim=1).nonzero()[:, 0]
 
     @classmethod
     def check(cls, name: str, motion: EquationOfMotion, is_lumped: bool, device: str = "cpu") -> None:
@@ -48,6 +52,9 @@ class ExplicitIntegrator(Integrator):
 
     def advance(self, state: State, steps: int) -> None:
         """Take so many steps, in place."""
+        if self._is_plain:
+            self._advance_plainly(state, steps)
+            return
         shrink = 1 - self.time_step * self.motion.damping.mass
         for _ in range(steps):
             impulses, driven = self._impulses(state) if state.work else ({}, 0.0)
@@ -64,6 +71,20 @@ class ExplicitIntegrator(Integrator):
                 state.work[kind].add_(((before + state.velocity) * impulse).sum(dim=0), alpha=0.5)
             if driven:
                 state.work["drives"].add_(driven)
+
+    def _advance_plainly(self, state: State, steps: int) -> None:
+        """Constant loads and a diagonal mass alone: nothing is allocated, and a few load cases at a time stay in the cache for all steps."""
+        together = COLUMNS_AT_ONCE if self._device == "cpu" else self._load.shape[1]
+        for first in range(0, self._load.shape[1], together):
+            part = slice(first, first + together)
+            displacement, velocity = state.displacement[:, part].contiguous(), state.velocity[:, part].contiguous()
+            load = self._load[self._loaded, part]
+            for _ in range(steps):
+                velocity.index_add_(0, self._loaded, load)
+                velocity.addmm_(self._matrix, displacement)
+                displacement.add_(velocity, alpha=self.time_step)
+            state.displacement[:, part], state.velocity[:, part] = displacement, velocity
+        state.step += steps
 
     def energy(self, state: State) -> Float64[np.ndarray, " columns"]:
         """H = 1/2 v'Mv + 1/2 u'Ku - f'u - (h/2) v'(Ku - f), with f the constant load: kept to 1e-14 over 1e4 steps.
