@@ -40,7 +40,7 @@ class ExplicitIntegrator(Integrator):
         conserving = [(law, motion.places(law.nodes)) for law in motion.laws if isinstance(law, ConservingLaw)]
         mobility = self._scaled(torch.full_like(self._load, time_step**2))  # how far a newton moves a degree of freedom in a step, m
         self._conserving = [(law, places, places.of(mobility)) for law, places in conserving]
-        self._is_plain = motion.is_conservative and self._inverse_mass is not None and self._matrix is not None
+        self._is_plain = motion.is_conservative and self._inverse_mass is not None
         self._loaded = self._load.any(dim=1).nonzero()[:, 0]
 
     @classmethod
@@ -52,8 +52,8 @@ class ExplicitIntegrator(Integrator):
 
     def advance(self, state: State, steps: int) -> None:
         """Take so many steps, in place."""
-        if self._is_plain:
-            self._advance_plainly(state, steps)
+        if self._matrix is not None and self._is_plain:
+            self._advance_plainly(self._matrix, state, steps)
             return
         shrink = 1 - self.time_step * self.motion.damping.mass
         for _ in range(steps):
@@ -72,7 +72,7 @@ class ExplicitIntegrator(Integrator):
             if driven:
                 state.work["drives"].add_(driven)
 
-    def _advance_plainly(self, state: State, steps: int) -> None:
+    def _advance_plainly(self, matrix: Tensor, state: State, steps: int) -> None:
         """Constant loads and a diagonal mass alone: nothing is allocated, and a few load cases at a time stay in the cache for all steps."""
         together = COLUMNS_AT_ONCE if self._device == "cpu" else self._load.shape[1]
         for first in range(0, self._load.shape[1], together):
@@ -81,7 +81,7 @@ class ExplicitIntegrator(Integrator):
             load = self._load[self._loaded, part]
             for _ in range(steps):
                 velocity.index_add_(0, self._loaded, load)
-                velocity.addmm_(self._matrix, displacement)
+                velocity.addmm_(matrix, displacement)
                 displacement.add_(velocity, alpha=self.time_step)
             state.displacement[:, part], state.velocity[:, part] = displacement, velocity
         state.step += steps
