@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,13 @@ def test_a_network_that_knows_the_ball_is_as_good_as_the_floor_but_for_the_facet
     assert summary["intersection_over_union_mean"] > 0.9
     assert summary["eikonal_mean"] < 1e-4, "the gradient of a distance has length one"
     assert summary["skill"] == pytest.approx(1 - summary["chamfer_l1_mm_mean"] / summary["knn1_chamfer_l1_mm_mean"])
+
+
+def test_frames_never_trained_on_are_measured_whatever_the_stride(trajectory: Trajectory, samples: DistanceSamples) -> None:
+    untrained = networks(trajectory, samples)
+    settings = replace(SETTINGS, every=5, mesh_frames=())
+    assert sorted(evaluate(untrained, trajectory, samples, settings).surface_errors["network"]) == [0, 2]
+    assert sorted(evaluate(untrained, trajectory, samples, settings, unseen_frames=[1]).surface_errors["network"]) == [0, 1, 2]
 
 
 def test_a_network_without_a_surface_is_counted_as_failed(

@@ -167,7 +167,8 @@ def _measure(
     began = time.perf_counter()
     with Progress() as bars:
         task = bars.add_task("evaluation", total=None)
-        evaluation = evaluate_networks(networks, trajectory, samples, settings, lambda done, total: bars.update(task, completed=done, total=total))
+        unseen = set(range(len(trajectory.times))) - set(train_frames)
+        evaluation = evaluate_networks(networks, trajectory, samples, settings, lambda done, total: bars.update(task, completed=done, total=total), unseen)
     seconds = {**seconds, "evaluate": time.perf_counter() - began}
     result = result_of(evaluation, networks, trajectory, train_frames, seconds, run)
     write_report(output, evaluation, result, trajectory)

@@ -3,7 +3,7 @@
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,7 +34,7 @@ class EvaluationSettings:
     """What `evaluation.*` sets. The defaults are the paper's 100^3 grid and METRICS' sample counts."""
 
     resolution: int = 100  # grid points along each axis of the sampling box
-    every: int = 1  # measure every so many frames, the last always among them
+    every: int = 1  # measure every so many frames; the last, and those never trained on, always
     surface_samples: int = 131_072  # on each of two surfaces that are compared
     volume_samples: int = 1_000_000  # for the overlap of volumes, on the volume frames only
     volume_frames: int = 3  # how many frames, evenly spaced, get volume, field and eikonal errors
@@ -92,13 +92,16 @@ def evaluate(
     samples: DistanceSamples,
     settings: EvaluationSettings,
     progress: Callable[[int, int], None] | None = None,
+    unseen_frames: Collection[int] = (),
 ) -> Evaluation:
-    """Reconstruct and measure every frame by the network, by KNN-1 on the paper's sampling, and from the exact distance.
+    """Reconstruct and measure frames by the network, by KNN-1 on the paper's sampling, and from the exact distance.
+
+    Which frames `settings.every` says; the last and `unseen_frames`, those never trained on, are always among them.
 
     All three are marched on one grid over the sampling box. A network without a surface in a frame is counted as a
     failure there. `progress(done, total)` is called after every frame.
     """
-    frames, wanted = _measured_and_wanted(settings, len(trajectory.times))
+    frames, wanted = _measured_and_wanted(settings, len(trajectory.times), unseen_frames)
     volume_frames = {frames[round(k)] for k in np.linspace(0, len(frames) - 1, settings.volume_frames)}
     mesh = trajectory.mesh
     vertices = torch.from_numpy(trajectory.surface_vertices.astype(np.float32))
@@ -142,10 +145,10 @@ def measured_frames(count: int, every: int) -> list[int]:
     return sorted({*range(0, count, every), count - 1})
 
 
-def _measured_and_wanted(settings: EvaluationSettings, count: int) -> tuple[list[int], set[int]]:
+def _measured_and_wanted(settings: EvaluationSettings, count: int, unseen_frames: Collection[int]) -> tuple[list[int], set[int]]:
     settings.require_frames(count)
     wanted = {frame % count for frame in settings.mesh_frames}
-    return sorted({*measured_frames(count, settings.every), *wanted}), wanted
+    return sorted({*measured_frames(count, settings.every), *unseen_frames, *wanted}), wanted
 
 
 def _knn1_values(nearest: NearestSample, samples: DistanceSamples, frame: int, grid: Grid) -> Float32[Tensor, "x y z"]:
