@@ -57,12 +57,12 @@ def main() -> None:
         "gravity": Gravity(),
         "rayleigh_damping, mass part": RayleighDamping(mass=10.0),
         "rayleigh_damping, both parts": RayleighDamping(mass=10.0, stiffness=1e-7),
-        "traction": Traction(region=Ball(center=NOSE, radius=0.01), traction=(0.0, 100.0, 0.0)),
-        "traction, ramped": Traction(region=Ball(center=NOSE, radius=0.01), traction=(0.0, 100.0, 0.0), history=ramp(0.005)),
+        "traction": Traction(region=Ball(center=NOSE, radius=0.01), traction=(100.0, 0.0, 0.0)),
+        "traction, ramped": Traction(region=Ball(center=NOSE, radius=0.01), traction=(100.0, 0.0, 0.0), history=ramp(0.005)),
         "initial_motion": InitialMotion(velocity=(0.0, 0.1, 0.0)),
         "prestrain": Prestrain(strain=(0.01, 0.01, 0.01, 0.0, 0.0, 0.0)),
         "floor_contact": FloorContact(height=-0.02),
-        "rigid_finger": RigidFinger(center=(0.0, -0.028, 0.086), direction=(0.0, 1.0, 0.0), speed=1.0, travel=0.005),
+        "rigid_finger": RigidFinger(center=(-0.004, -0.024, 0.086), direction=(1.0, 0.0, 0.0), speed=1.0, travel=0.005),
         "finite_strain": FiniteStrain(),
     }
     without = plan(scene, mesh)
