@@ -92,7 +92,7 @@ def prepare(settings: PrepareSettings, output: Path) -> None:
     if files is not None:
         report = read_trajectory(files.trajectory).report
         console.print("\n".join(f"{name}: {value}" for name, value in report.items()))
-        console.print(f"the steps took {float(report['step_seconds']):.2g} s, of which the plan above predicts how long they would take now")
+        console.print(f"the steps took {float(report['step_seconds']):.2g} s when they were run; what the plan predicts is for now")
         for what, path in (("tet mesh", files.mesh), ("simulation", files.trajectory), ("signed distances", files.distances)):
             console.print(f"{what}: {path} ({'made' if what in files.built else 'was there'}, {files.seconds[what]:.1f} s)")
 

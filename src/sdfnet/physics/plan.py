@@ -28,7 +28,7 @@ LOCKING_POISSON_RATIO = {"P1": 0.45, "P1_nodal_pressure": 0.5, "P2": 0.499}  # a
 ROUNDING = 1e-9  # relative: how far interval / step may be from a whole number and still count as one
 IMPLICIT_STEPS_PER_FRAME = 10  # of Newmark with time_step auto: what happens within a frame's interval is not asked for
 STEPS_PER_SEGMENT = 4  # of a load's history, which methods without a stability limit take for straight over a step
-TRIAL_STEPS = 20  # whose median predicts the time of all
+TRIAL_SECONDS, FEWEST_TRIAL_STEPS = 0.5, 4  # of which the first half is thrown away: other libraries' idle threads still hold the cores then
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,15 +104,15 @@ class Plan:
         return integrator, EnergyWatch(integrator)
 
     def predicted_seconds(self) -> float:
-        """Wall time of all steps on this machine: twenty real ones, their median times the number of steps."""
+        """Wall time of all steps on this machine: a trial's median step, once threads and caches are warm, times their number."""
         integrator, _ = self.compile()
         state = integrator.initial_state()
-        seconds = []
-        for _ in range(min(TRIAL_STEPS, self.steps)):
+        seconds: list[float] = []
+        while len(seconds) < min(FEWEST_TRIAL_STEPS, self.steps) or (sum(seconds) < TRIAL_SECONDS and len(seconds) < self.steps):
             start = time.perf_counter()
             integrator.advance(state, 1)
             seconds.append(time.perf_counter() - start)
-        return float(np.median(seconds)) * self.steps
+        return float(np.median(seconds[len(seconds) // 2 :])) * self.steps
 
     def describe(self) -> str:
         """The plan for the screen: effects, matrices, step limits, step and predicted seconds."""
