@@ -1,6 +1,6 @@
 """Mass, stiffness and loads of linear elasticity on a tet mesh (paper section 2): the only module that imports scikit-fem."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,6 +89,13 @@ def shape_gradients(mesh: TetMesh) -> Float64[np.ndarray, "tets 4 3"]:
     corners = mesh.nodes[mesh.tets]
     last_three = np.linalg.inv(corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
     return np.concatenate([-last_three.sum(axis=1, keepdims=True), last_three], axis=1)
+
+
+def displacement_gradients(mesh: TetMesh, displacements: Float64[np.ndarray, "frames nodes 3"]) -> Iterator[Float64[np.ndarray, "tets 3 3"]]:
+    """grad u of every tet (entry a, b is du_a / dx_b), one frame after the other; of linear tets, for others between the corners."""
+    gradients = shape_gradients(mesh)
+    for displacement in displacements:
+        yield np.einsum("tia,tib->tab", displacement[mesh.tets], gradients)
 
 
 def element_matrices(model: ElasticModel) -> tuple[Float64[np.ndarray, "tets dofs dofs"], Float64[np.ndarray, "tets dofs dofs"]]:

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 
 from sdfnet.geometry.self_intersection import SelfIntersectionSearch
-from sdfnet.physics.elasticity import shape_gradients
+from sdfnet.physics.elasticity import displacement_gradients
 from sdfnet.physics.trajectory import FrameChecks, Trajectory
 
 logger = logging.getLogger(__name__)
@@ -13,12 +13,11 @@ logger = logging.getLogger(__name__)
 
 def frame_checks(trajectory: Trajectory) -> FrameChecks:
     """Count inverted tets and crossing faces in every frame; warns when there are any."""
-    mesh, gradients, vertices = trajectory.mesh, shape_gradients(trajectory.mesh), trajectory.surface_vertices
+    vertices = trajectory.surface_vertices
     search = SelfIntersectionSearch(trajectory.surface(0))
     inverted, crossing = (np.zeros(len(trajectory.times), dtype=np.int64) for _ in range(2))
-    for frame, displacement in enumerate(trajectory.displacements):
-        deformation = np.einsum("tia,tib->tab", displacement[mesh.tets], gradients) + np.eye(3)
-        inverted[frame] = (np.linalg.det(deformation) <= 0).sum()
+    for frame, gradient in enumerate(displacement_gradients(trajectory.mesh, trajectory.displacements)):
+        inverted[frame] = (np.linalg.det(gradient + np.eye(3)) <= 0).sum()
         search.deform(vertices[frame])
         crossing[frame] = search.count()
     checks = FrameChecks(inverted, crossing)

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.roles import Report
-from sdfnet.physics.elasticity import shape_gradients
+from sdfnet.physics.elasticity import displacement_gradients
 from sdfnet.physics.energy_watch import EnergyWatch
 from sdfnet.physics.integrators.integrator import State
 from sdfnet.physics.plan import LARGEST_LINEAR_STRAIN, Plan, plan
@@ -137,10 +137,8 @@ def _laws_report(compiled: Plan, displacements: np.ndarray, times: np.ndarray) -
 def _deformation(compiled: Plan, displacements: Float64[np.ndarray, "frames nodes 3"]) -> Report:
     """How far and how strongly the solid deforms, with warnings where linear elasticity no longer describes it."""
     mesh = compiled.model.mesh
-    gradients = shape_gradients(mesh)
     largest, n_inverted, first_inverted = 0.0, 0, -1
-    for frame, displacement in enumerate(displacements):
-        gradient = np.einsum("tia,tib->tab", displacement[mesh.tets], gradients)
+    for frame, gradient in enumerate(displacement_gradients(mesh, displacements)):
         largest = max(largest, float(np.linalg.norm(gradient, axis=(1, 2)).max()))
         if (np.linalg.det(gradient + np.eye(3)) <= 0).any():
             n_inverted += 1

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.pressure_poke import PressurePoke
-from sdfnet.physics.elasticity import shape_gradients
+from sdfnet.physics.elasticity import displacement_gradients
 from sdfnet.physics.plan import LARGEST_LINEAR_STRAIN, LOCKING_POISSON_RATIO, Plan
 from sdfnet.scene import Material
 
@@ -39,10 +39,8 @@ class Deformation:
 
 def deformation(mesh: TetMesh, displacements: Float64[np.ndarray, "frames nodes 3"], times: Float64[np.ndarray, " frames"]) -> Deformation:
     """Of all frames; the rotation of the frame whose antisymmetric part of grad u is the largest."""
-    gradients = shape_gradients(mesh)
     largest, most_turned, turning = 0.0, np.zeros((len(mesh.tets), 3, 3)), 0.0
-    for displacement in displacements:
-        gradient = np.matmul(displacement[mesh.tets].transpose(0, 2, 1), gradients)
+    for gradient in displacement_gradients(mesh, displacements):
         largest = max(largest, float(np.square(gradient).sum(axis=(1, 2)).max()))
         skew = float(np.square(gradient - gradient.transpose(0, 2, 1)).sum(axis=(1, 2)).max())
         if skew > turning:
