@@ -96,10 +96,9 @@ def evaluate(
 ) -> Evaluation:
     """Reconstruct and measure frames by the network, by KNN-1 on the paper's sampling, and from the exact distance.
 
-    Which frames `settings.every` says; the last and `unseen_frames`, those never trained on, are always among them.
-
-    All three are marched on one grid over the sampling box. A network without a surface in a frame is counted as a
-    failure there. `progress(done, total)` is called after every frame.
+    Which frames `settings.every` says; the last and `unseen_frames`, those never trained on, are always among them. All three are
+    marched on one grid over the sampling box. A network without a surface in a frame is counted as a failure there.
+    `progress(done, total)` is called after every frame.
     """
     frames, wanted = _measured_and_wanted(settings, len(trajectory.times), unseen_frames)
     volume_frames = {frames[round(k)] for k in np.linspace(0, len(frames) - 1, settings.volume_frames)}

@@ -59,7 +59,7 @@ class Plan:
     @property
     def nodal_force(self) -> Float64[np.ndarray, "nodes 3"]:
         """All constant loads of the effects, N; those of load cases are apart."""
-        return sum((load.nodal_force for load in self.demands.loads.values() if load.history.is_constant), np.zeros(self.fixed.shape))
+        return sum((load.history.values[0] * load.nodal_force for load in self.demands.loads.values() if load.history.is_constant), np.zeros(self.fixed.shape))
 
     @property
     def report(self) -> Report:
@@ -108,7 +108,8 @@ class Plan:
         integrator, _ = self.compile()
         state = integrator.initial_state()
         seconds: list[float] = []
-        while len(seconds) < min(FEWEST_TRIAL_STEPS, self.steps) or (sum(seconds) < TRIAL_SECONDS and len(seconds) < self.steps):
+        began = time.perf_counter()
+        while len(seconds) < min(FEWEST_TRIAL_STEPS, self.steps) or (time.perf_counter() - began < TRIAL_SECONDS and len(seconds) < self.steps):
             start = time.perf_counter()
             integrator.advance(state, 1)
             seconds.append(time.perf_counter() - start)
