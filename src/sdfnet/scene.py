@@ -159,6 +159,8 @@ class Sampling:
             raise ConfigurationError("sampling weights and near_surface_spread must be positive, z_exponent and z_floor not negative")
         if self.box_scale <= 1:
             raise ConfigurationError(f"sampling.box_scale must exceed 1, found {self.box_scale}")
+        if self.seed < 0:  # NumPy takes no negative one
+            raise ConfigurationError(f"sampling.seed must not be negative, found {self.seed}")
 
 
 @dataclass(frozen=True)

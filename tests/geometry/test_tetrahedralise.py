@@ -45,6 +45,10 @@ def test_numbering_neighbours_together_changes_no_tet_and_shortens_the_band(fill
     assert np.ptp(ordered.tets, axis=1).mean() < 0.3 * np.ptp(shuffled.tets, axis=1).mean()
 
 
+def test_what_ftetwild_fills_is_numbered_so(filled: TetMesh) -> None:
+    assert np.ptp(filled.tets, axis=1).mean() < 0.2 * len(filled.nodes)  # 0.13; 0.36 as fTetWild numbers them
+
+
 def test_a_shorter_edge_gives_more_tets() -> None:
     box = trimesh.creation.box()
     cube = Surface(np.asarray(box.vertices, dtype=np.float64), np.asarray(box.faces, dtype=np.int64))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from jaxtyping import Bool, Float64
+from scipy.linalg import eigh
 from skfem import MeshTet
 from torch import Tensor
 
@@ -15,6 +16,7 @@ from sdfnet.physics.effects.roles import Damping, FollowsState, ForceLaw
 from sdfnet.physics.elasticity import ElasticModel
 from sdfnet.physics.mass import mass_of
 from sdfnet.physics.motion import EquationOfMotion, TimedLoad
+from sdfnet.physics.plan import Plan
 from sdfnet.scene import Effect, Geometry
 
 
@@ -127,6 +129,22 @@ def make_springs() -> Callable[..., ForceLaw]:
 def on_springs() -> type[Effect]:
     """An effect whose force follows the state: `on_springs(share=0.1)`."""
     return OnSprings
+
+
+@pytest.fixture(scope="session")
+def exact_in_time() -> Callable[[Plan], np.ndarray]:
+    """A function of the plan of a held solid under a constant load: every mode from rest, (1 - cos omega t) / omega^2 s'f, by a dense solver."""
+
+    def solve(compiled: Plan) -> Float64[np.ndarray, "frames nodes 3"]:
+        motion, recording = compiled.equation(), compiled.scene.recording
+        squared, shapes = eigh(motion.stiffness.toarray(), motion.mass.matrix().toarray())
+        times = np.linspace(0, recording.duration, recording.frames)[:, None]
+        amplitudes = 2 * np.sin(np.sqrt(squared) * times / 2) ** 2 / squared * (shapes.T @ motion.constant_force[:, 0])
+        displacements = np.zeros((recording.frames, 3 * motion.n_nodes))
+        displacements[:, motion.free] = amplitudes @ shapes.T
+        return displacements.reshape(recording.frames, -1, 3)
+
+    return solve
 
 
 @pytest.fixture

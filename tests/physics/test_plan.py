@@ -11,13 +11,14 @@ from jaxtyping import Bool, Float64
 from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.body_force import BodyForce
-from sdfnet.physics.effects.history import History, ramp
+from sdfnet.physics.effects.history import History, pulse, ramp
 from sdfnet.physics.effects.pinned import Pinned
 from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
 from sdfnet.physics.effects.roles import AddsLoad, ConstrainsNodes, Load
 from sdfnet.physics.elasticity import ElasticModel
 from sdfnet.physics.elements import FiniteElements
+from sdfnet.physics.integrators import INTEGRATORS
 from sdfnet.physics.plan import Plan, plan
 from sdfnet.physics.regions import HalfSpace
 from sdfnet.physics.stability import StepLimits
@@ -59,7 +60,7 @@ def test_constraints_are_united_and_loads_added(cube: TetMesh) -> None:
     compiled = plan(scene_of(foot=FOOT, push=PUSH, grip=Grip()), cube)
     np.testing.assert_array_equal(compiled.fixed, FOOT.fixed_components(compiled.model.elements) | Grip().fixed_components(compiled.model.elements))
     expected = PUSH.load(compiled.model).nodal_force + Grip().load(compiled.model).nodal_force
-    np.testing.assert_array_equal(compiled.nodal_force, expected)
+    np.testing.assert_array_equal(compiled.equation().constant_force[:, 0], expected[~compiled.fixed])
     assert compiled.report["push_loaded_area_m2"] == PUSH.load(compiled.model).report["loaded_area_m2"]
 
 
@@ -126,6 +127,42 @@ def test_methods_without_a_step_limit_take_a_part_of_a_frame_and_follow_a_load_o
     rising = replace(constant, effects={"foot": FOOT, "push": replace(PUSH, history=History((0.0, 0.002, 0.004), (0.0, 1.0, 0.5)))})
     assert plan(replace(rising, solver=solver), cube).time_step == pytest.approx(0.002 / 4, rel=1e-12)
     assert plan(replace(rising, solver=replace(solver, time_step=0.005)), cube).steps_per_frame == 2  # as asked
+
+
+BLOW = History((0.0101, 0.0102, 0.0103), (0.0, 1.0, 0.0))  # of a tenth of the automatic step
+
+
+@pytest.mark.parametrize("solver", [Solver(), Solver("symplectic_euler", mass="consistent")])
+def test_the_automatic_step_follows_a_short_blow_and_the_plan_says_why(cube: TetMesh, solver: Solver) -> None:
+    constant = replace(scene_of(foot=FOOT, push=PUSH), solver=solver)
+    compiled = plan(replace(constant, effects={"foot": FOOT, "push": replace(PUSH, history=BLOW)}), cube)
+    assert BLOW.missed_share(plan(constant, cube).time_step, 0.05) > 0.5
+    assert BLOW.missed_share(compiled.time_step, 0.05) <= 0.1
+    assert BLOW.missed_share(2 * compiled.time_step, 0.05) > 0.1
+    assert "of the limit), so short to follow the load 'push' over time" in compiled.describe()
+    assert "so short" not in plan(constant, cube).describe()
+    as_case = replace(constant, effects={"foot": FOOT}, load_cases={"push": replace(PUSH, history=BLOW)})
+    assert plan(as_case, cube).steps == compiled.steps
+
+
+def test_a_load_over_time_that_the_automatic_step_follows_does_not_shorten_it(cube: TetMesh) -> None:
+    constant, slow = scene_of(foot=FOOT, push=PUSH), replace(PUSH, history=pulse(0.0, 0.05))
+    assert plan(scene_of(foot=FOOT, push=slow), cube).steps == plan(constant, cube).steps
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_load_that_is_over_before_any_bearable_step_is_refused_by_name(cube: TetMesh, integrator: str) -> None:
+    scene = replace(scene_of(foot=FOOT, push=replace(PUSH, history=pulse(0.0, 1e-12))), solver=Solver(integrator))
+    with pytest.raises(PhysicsError, match=r"the load 'push' over time needs \S+ steps or more, allowed are 1e\+08; let it change more slowly"):
+        plan(scene, cube)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_given_step_that_passes_over_a_blow_is_refused(cube: TetMesh, integrator: str) -> None:
+    scene = replace(scene_of(foot=FOOT, push=replace(PUSH, history=BLOW)), solver=Solver(integrator, time_step=1e-3))
+    message = "time step 0.001 s passes over 1e.02 % of the load 'push' over time, more than 10 %; lower solver.time_step or set it to auto"
+    with pytest.raises(PhysicsError, match=message):
+        plan(scene, cube)
 
 
 def test_the_plan_says_what_a_step_computes(cube: TetMesh, on_springs: Callable[..., Effect]) -> None:

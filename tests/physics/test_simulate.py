@@ -11,6 +11,7 @@ from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.body_force import BodyForce
 from sdfnet.physics.effects.history import History, ramp
+from sdfnet.physics.effects.initial_motion import InitialMotion
 from sdfnet.physics.effects.pinned import Pinned
 from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
@@ -82,7 +83,7 @@ def test_momentum_of_a_free_solid_comes_from_the_load_alone(cube: TetMesh, mass:
     compiled = plan(scene, cube)
     trajectory = run(compiled)
     center = np.einsum("n,fnc->fc", compiled.model.lumped_mass, trajectory.displacements) / compiled.model.lumped_mass.sum()
-    exact = 0.5 * trajectory.times[:, None] ** 2 * compiled.nodal_force.sum(axis=0) / compiled.model.lumped_mass.sum()
+    exact = 0.5 * trajectory.times[:, None] ** 2 * compiled.equation().constant_force.reshape(-1, 3).sum(axis=0) / compiled.model.lumped_mass.sum()
     np.testing.assert_allclose(center, exact, atol=1e-10 * np.abs(exact).max())
 
 
@@ -222,3 +223,14 @@ def _frames(scene: Scene, count: int) -> Scene:
     """The same scene up to its first `count` frames."""
     interval = scene.recording.duration / (scene.recording.frames - 1)
     return replace(scene, recording=Recording(duration=interval * (count - 1), frames=count))
+
+
+def test_a_load_beyond_all_sense_is_refused_with_its_size_and_the_cure(cube: TetMesh) -> None:
+    message = r"by 2 diagonals .*, found .*from frame \d, t = .*Weaken the loads, which are \S+ of Young's modulus, or shorten recording\.duration"
+    with pytest.raises(PhysicsError, match=message):
+        simulate(replace(HELD, effects={"foot": Pinned(), "push": replace(PUSH, pressure=1e9)}), cube)
+
+
+def test_a_solid_may_fly_many_diagonals_as_long_as_it_stays_a_solid(cube: TetMesh) -> None:
+    trajectory = simulate(replace(HELD, effects={"throw": InitialMotion(velocity=(1000.0, 0.0, 0.0))}), cube)
+    assert trajectory.displacements[-1, :, 0].min() > 10 * cube.diagonal

@@ -31,7 +31,8 @@ THROWN = Scene(Geometry(), {"throw": InitialMotion(velocity=(0.0, 0.0, -1.0))}, 
 def test_a_finger_alone_moves_the_trial_as_it_does_the_solid() -> None:
     finger = RigidFinger(center=(0.05, 0.05, 0.131), radius=0.03, speed=5.0, travel=0.011)
     compiled = plan(Scene(Geometry(), {"foot": Pinned(), "finger": finger}, recording=Recording(0.004, 11)), BLOCK)
-    assert Trial(compiled).size == pytest.approx(Trial(compiled, run(compiled)).size, rel=0.3)  # the trial's contact gives way as a whole
+    sizes = [np.linalg.norm(displacements) for displacements in (Trial(compiled).displacements, run(compiled).displacements)]
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.3)  # the trial's contact gives way as a whole
 
 
 def test_a_stiffer_floor_does_not_throw_the_trial() -> None:

@@ -20,8 +20,6 @@ Verify = Callable[..., tuple[int, str, str]]
 @pytest.fixture
 def verify(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Verify]:
     """Runs the command in this process: exit code, standard output, standard error."""
-    monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
-    monkeypatch.setattr("hydra._internal.utils.is_under_debugger", lambda: False)  # Hydra takes coverage's tracing for a debugger's
 
     def run(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["verify.py", *arguments])

@@ -17,7 +17,7 @@ from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.gravity import Gravity
 from sdfnet.physics.effects.roles import Damping
 from sdfnet.physics.plan import LARGEST_LINEAR_STRAIN, Plan
-from sdfnet.physics.trajectory import Trajectory
+from sdfnet.scene import Material
 
 TYPICAL_RATIO = 0.02  # damping ratio assumed where the scene has no damping: rubber and plastics have some hundredths
 WIDTH = 120  # of the sentences under the table
@@ -39,16 +39,15 @@ class Advice:
     sentence: str  # what to do
 
 
-def advise(compiled: Plan, trajectory: Trajectory | None = None) -> tuple[Advice, ...]:
+def advise(compiled: Plan) -> tuple[Advice, ...]:
     """Advice on gravity, damping, finite strain, floor contact, the element and inertia, from numbers and a cheap trial.
 
     The trial is the scene in reduced coordinates (`Trial`), once as it is and once with each effect added or taken away;
     an effect is called for when it changes the displacements by a twentieth, finite strain also where the displacement
-    gradient passes the tenth up to which linear elasticity is valid. The floor is that of the scene, or z = 0. A
-    `trajectory` of the same scene takes the trial's place in the numbers and in what changes are measured by. Raises
-    ConfigurationError when it is not one. Not a proof: predicted changes were within a factor of three of real ones.
+    gradient passes the tenth up to which linear elasticity is valid. The floor is that of the scene, or z = 0.
+    Raises PhysicsError when no trial stays finite. Not a proof: predicted changes were within a factor of three of real ones.
     """
-    trial = Trial(compiled, trajectory)
+    trial = Trial(compiled)
     return tuple(advice for judge in (_gravity, _damping, _finite_strain, _floor, _element, _inertia) for advice in judge(trial))
 
 
@@ -141,7 +140,11 @@ def _floor(trial: Trial) -> list[Advice]:
 
 def _element(trial: Trial) -> list[Advice]:
     compiled, element = trial.compiled, trial.compiled.scene.solver.element
-    numbers, (change, entries) = element_numbers(compiled), trial.element_change()
+    numbers = element_numbers(compiled)
+    if element == "P1" and not isinstance(compiled.model.material, Material):
+        sentence = "keep solver.element=P1, or take P2 for bending: P1_nodal_pressure, with which it is compared, knows one material"
+        return _rows("element", numbers, LEFT_OUT, math.nan, "no trial was made", sentence)
+    change, entries = trial.element_change()
     locks, other, percent = numbers[0].value > numbers[0].threshold, COUNTERPARTS[element], _percent(change)
     verdict = _verdict(element != "P1", change >= SMALLEST_CHANGE and (locks or element == "P2"))
     why = "locking does not show" if locks else "nothing locks"

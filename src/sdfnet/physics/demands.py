@@ -10,6 +10,7 @@ from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.physics.effects.roles import (
     AddsDamping,
     AddsLoad,
+    ChangesMaterial,
     ConstrainsNodes,
     Damping,
     FollowsState,
@@ -90,6 +91,14 @@ def demands_of(scene: Scene, model: ElasticModel) -> Demands:
     return demands
 
 
+def _include(_: Demands, __: str, effect: ChangesMaterial, model: ElasticModel) -> str:
+    material = effect.material
+    return (
+        f"makes {int(effect.tets(model.mesh).sum())} tets of another material (Young's modulus {material.youngs_modulus:.4g} Pa, "
+        f"Poisson ratio {material.poisson_ratio:.4g}, density {material.density:.4g} kg/m^3)"
+    )
+
+
 def _constrain(demands: Demands, _: str, effect: ConstrainsNodes, model: ElasticModel) -> str:
     held = effect.fixed_components(model.elements)
     demands.fixed |= held
@@ -139,6 +148,7 @@ def _replace(demands: Demands, name: str, effect: ReplacesElasticity, model: Ela
 
 
 _ROLES: dict[type[Effect], Callable[..., str]] = {
+    ChangesMaterial: _include,
     ConstrainsNodes: _constrain,
     AddsLoad: _load,
     AddsDamping: _damp,

@@ -12,9 +12,10 @@ from skfem.models.elasticity import linear_elasticity
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
-from sdfnet.errors import GeometryError
+from sdfnet.errors import ConfigurationError, GeometryError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.elements import MIDDLE_ENDS, FiniteElements
+from sdfnet.physics.materials import Materials, per_tet
 from sdfnet.scene import Material
 
 Field = Callable[[Float64[np.ndarray, "points 3"]], Float64[np.ndarray, "points 3"]]
@@ -28,7 +29,7 @@ class ElasticModel:
     """The matrices of the paper's weak form, before any constraint. Every component has the same scalar mass matrix."""
 
     elements: FiniteElements
-    material: Material
+    material: Materials  # of the whole solid, or of every tet
     stiffness: csr_matrix  # (3 nodes, 3 nodes) N/m: integral of sigma(u) : epsilon(v)
     consistent_mass: csr_matrix  # (nodes, nodes) kg: integral of rho u v for one component, the paper's
     lumped_mass: Float64[np.ndarray, " nodes"]  # kg: P1 its row sums, P2 each tet's by HRZ
@@ -51,12 +52,12 @@ def finite_elements(mesh: TetMesh, element: str = "P1") -> FiniteElements:
     return FiniteElements(mesh, element, nodes, tets)
 
 
-def assemble(mesh: TetMesh, material: Material, element: str = "P1") -> ElasticModel:
+def assemble(mesh: TetMesh, material: Materials, element: str = "P1") -> ElasticModel:
     """Stiffness and mass of the solid, in float64.
 
     sigma(u) = lambda div(u) I + 2 mu epsilon(u). Linear tets lock when the material hardly changes its volume (Poisson
     ratio over 0.45) and are stiff in bending; P1_nodal_pressure cures the first, P2 both. Raises GeometryError when a
-    node belongs to no tet: it would have no mass.
+    node belongs to no tet: it would have no mass; ConfigurationError for P1_nodal_pressure with several materials.
     """
     lonely = np.setdiff1d(np.arange(len(mesh.nodes)), mesh.tets)
     if len(lonely):
@@ -64,24 +65,28 @@ def assemble(mesh: TetMesh, material: Material, element: str = "P1") -> ElasticM
     elements = finite_elements(mesh, element)
     scalar = _element(elements)
     if element == "P1_nodal_pressure":
+        if not isinstance(material, Material):
+            raise ConfigurationError("P1_nodal_pressure would average the pressure of unlike materials where they meet; set solver.element=P1 or P2")
         stiffness = _stiffness(mesh, scalar, -2 * material.lame_mu / 3, material.lame_mu) + _pressure_stiffness(mesh, material)
     else:
         stiffness = _stiffness(mesh, scalar, material.lame_lambda, material.lame_mu)
-    consistent_mass = csr_matrix(BilinearForm(lambda u, v, _: material.density * u * v).assemble(Basis(_skfem(mesh), scalar)))
+    consistent_mass = csr_matrix(BilinearForm(lambda u, v, _: per_tet(material.density, 1) * u * v).assemble(Basis(_skfem(mesh), scalar)))
     lumped_mass = np.bincount(elements.tets.ravel(), lumped_mass_shares(elements, material.density).ravel())
     return ElasticModel(elements, material, csr_matrix(stiffness), consistent_mass, lumped_mass)
 
 
-def body_force(elements: FiniteElements, density: Float64[np.ndarray, "3"] | Field) -> Float64[np.ndarray, "nodes 3"]:
-    """Nodal force (N) of a force density (N/m^3), constant or a function of the rest position: the integral of f v."""
+def body_force(elements: FiniteElements, density: Float64[np.ndarray, "*tets 3"] | Field) -> Float64[np.ndarray, "nodes 3"]:
+    """Nodal force (N) of a force density (N/m^3), constant, one for each tet, or a function of the rest position: the integral of f v."""
     if isinstance(density, np.ndarray):
-        return _assembled(elements, LinearForm(lambda v, _: dot(density[:, None, None], v)))
+        components = np.atleast_2d(density).T[:, :, None]
+        return _assembled(elements, LinearForm(lambda v, _: dot(components, v)))
     return _assembled(elements, LinearForm(lambda v, w: dot(_at(density, w.x), v)), FIELD_QUADRATURE_ORDER)
 
 
-def stress_load(elements: FiniteElements, stress: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "nodes 3"]:
-    """Nodal force (N) that a stress (Pa), the same everywhere, exerts by itself: the integral of sigma : grad v."""
-    return _assembled(elements, LinearForm(lambda v, _: ddot(stress[:, :, None, None], grad(v))))
+def stress_load(elements: FiniteElements, stress: Float64[np.ndarray, "*tets 3 3"]) -> Float64[np.ndarray, "nodes 3"]:
+    """Nodal force (N) that a stress (Pa), the same everywhere or one for each tet, exerts by itself: the integral of sigma : grad v."""
+    components = np.moveaxis(np.reshape(stress, (-1, 3, 3)), 0, 2)[..., None]
+    return _assembled(elements, LinearForm(lambda v, _: ddot(components, grad(v))))
 
 
 def shape_gradients(mesh: TetMesh) -> Float64[np.ndarray, "tets 4 3"]:
@@ -102,15 +107,15 @@ def element_matrices(model: ElasticModel) -> tuple[Float64[np.ndarray, "tets dof
     """Stiffness (N/m) and consistent mass (kg) of each tet by itself; for P1_nodal_pressure the plain P1 stiffness, which is no smaller."""
     material, scalar = model.material, _element(model.elements)
     basis = Basis(_skfem(model.mesh), ElementVector(scalar))
-    stiffness = linear_elasticity(material.lame_lambda, material.lame_mu).elemental(basis).tolocal()
-    mass = BilinearForm(lambda u, v, _: material.density * dot(u, v)).elemental(basis).tolocal()
+    stiffness = linear_elasticity(per_tet(material.lame_lambda, 1), per_tet(material.lame_mu, 1)).elemental(basis).tolocal()
+    mass = BilinearForm(lambda u, v, _: per_tet(material.density, 1) * dot(u, v)).elemental(basis).tolocal()
     return stiffness, mass
 
 
-def lumped_mass_shares(elements: FiniteElements, density: float) -> Float64[np.ndarray, "tets corners"]:
+def lumped_mass_shares(elements: FiniteElements, density: float | Float64[np.ndarray, " tets"]) -> Float64[np.ndarray, "tets corners"]:
     """What each tet gives to each of its nodes, kg."""
     shares = np.array(4 * [CORNER_SHARE] + 6 * [MIDDLE_SHARE] if elements.is_quadratic else 4 * [1 / 4])
-    result: np.ndarray = density * elements.mesh.volumes[:, None] * shares
+    result: np.ndarray = per_tet(density, 1) * elements.mesh.volumes[:, None] * shares
     return result
 
 
@@ -128,9 +133,9 @@ def _element(elements: FiniteElements) -> Element:
     return ElementTetP2() if elements.is_quadratic else ElementTetP1()
 
 
-def _stiffness(mesh: TetMesh, scalar: Element, lame_lambda: float, lame_mu: float) -> csr_matrix:
+def _stiffness(mesh: TetMesh, scalar: Element, lame_lambda: float | np.ndarray, lame_mu: float | np.ndarray) -> csr_matrix:
     order = 2 * (scalar.maxdeg - 1)  # of a product of two gradients; scikit-fem would integrate as if of two functions, for ten times the time
-    return csr_matrix(linear_elasticity(lame_lambda, lame_mu).assemble(Basis(_skfem(mesh), ElementVector(scalar), intorder=order)))
+    return csr_matrix(linear_elasticity(per_tet(lame_lambda, 1), per_tet(lame_mu, 1)).assemble(Basis(_skfem(mesh), ElementVector(scalar), intorder=order)))
 
 
 def _pressure_stiffness(mesh: TetMesh, material: Material) -> csr_matrix:

@@ -42,7 +42,7 @@ class EnergyWatch:
 
     def problem(self, state: State) -> str | None:
         """What is wrong with a state, None when nothing is. The first call sets what later ones are compared with."""
-        if not (torch.isfinite(state.displacement).all() and torch.isfinite(state.velocity).all()):
+        if not is_finite(state):
             return "every value must be finite, found some that are not"
         drift, law_error = self._errors(state)
         self.drift, self.law_error = float(np.maximum(self.drift, drift)), float(np.maximum(self.law_error, law_error))  # unlike max(), keeps a NaN
@@ -100,3 +100,8 @@ class EnergyWatch:
         h, nodal = self._integrator.time_step, self._integrator.motion.nodal(state.displacement)
         time = state.step * h
         return sum(abs(law.drive_work(law.force(nodal, time), time, time + UNRESOLVED_STEPS * h)) for law in driven)
+
+
+def is_finite(state: State) -> bool:
+    """Whether every displacement and velocity is a number."""
+    return bool(torch.isfinite(state.displacement).all() and torch.isfinite(state.velocity).all())

@@ -82,11 +82,6 @@ class EquationOfMotion:
         return NodePlaces(torch.from_numpy(np.maximum(chosen, 0).ravel()), torch.from_numpy((chosen >= 0).astype(np.float64)))
 
     @property
-    def is_linear(self) -> bool:
-        """Whether no force follows the state but the linear elastic one."""
-        return not self.laws
-
-    @property
     def is_conservative(self) -> bool:
         """Whether only constant loads act, so that the energy is kept."""
         return not (self.laws or self.timed_loads or self.damping)

@@ -1,25 +1,29 @@
 """Compiles a scene on a mesh into the step loop that its effects need, and no more."""
 
+import hashlib
 import logging
 import math
+import re
 import time
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool
 from scipy.sparse import csr_matrix
 
 from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.demands import Demands, demands_of
-from sdfnet.physics.effects.roles import Report
+from sdfnet.physics.effects.roles import ChangesMaterial, Report
 from sdfnet.physics.elasticity import ElasticModel, assemble
 from sdfnet.physics.energy_watch import EnergyWatch
+from sdfnet.physics.following_loads import following_loads, require_bearable
 from sdfnet.physics.integrators import INTEGRATORS, Integrator
 from sdfnet.physics.mass import mass_of
+from sdfnet.physics.materials import with_inclusions
 from sdfnet.physics.motion import EquationOfMotion, TimedLoad
 from sdfnet.physics.stability import StepLimits, step_limits
-from sdfnet.scene import Scene, Solver
+from sdfnet.scene import Material, Scene, Solver
 
 logger = logging.getLogger(__name__)
 
@@ -40,6 +44,7 @@ class Plan:
     demands: Demands
     limits: StepLimits | None  # none where the integrator has no stability limit
     steps_per_frame: int
+    shortened_for: str = ""  # the load over time that needs a shorter step than auto would take without it
 
     @property
     def time_step(self) -> float:
@@ -57,14 +62,9 @@ class Plan:
         return self.demands.fixed
 
     @property
-    def nodal_force(self) -> Float64[np.ndarray, "nodes 3"]:
-        """All constant loads of the effects, N; those of load cases are apart."""
-        return sum((load.history.values[0] * load.nodal_force for load in self.demands.loads.values() if load.history.is_constant), np.zeros(self.fixed.shape))
-
-    @property
     def report(self) -> Report:
         """What the effects say of themselves, for the trajectory's report."""
-        return {**self.demands.report, "load_over_youngs_modulus": self.demands.stress / self.scene.material.youngs_modulus}
+        return {**self.demands.report, "load_over_youngs_modulus": self.demands.stress / float(np.min(self.model.material.youngs_modulus))}
 
     def equation(self) -> EquationOfMotion:
         """The equation of motion on the free degrees of freedom, a column for each load case."""
@@ -93,6 +93,19 @@ class Plan:
             free=free,
             n_nodes=len(self.fixed),
         )
+
+    def fingerprint(self) -> str:
+        """A hash of all that the steps depend on: mesh, scene, step, and the arrays of effects, which a scene's text abridges.
+
+        Where an object or a function stands in memory is taken out of the text: it is another in every process.
+        """
+        scene, motion, material = self.scene, self.equation(), self.model.material
+        settings = repr((scene.effects, scene.load_cases, scene.material, scene.recording, scene.solver, self.steps_per_frame))
+        content = hashlib.sha256(f"{self.model.mesh.digest} {re.sub(r' at 0x[0-9a-f]+', '', settings)}".encode())
+        of_tets = (np.asarray(number) for number in (material.youngs_modulus, material.poisson_ratio, material.density))
+        for values in (motion.constant_force, *(load.force for load in motion.timed_loads), motion.displacement, motion.velocity, motion.free, *of_tets):
+            content.update(np.ascontiguousarray(values).tobytes())
+        return content.hexdigest()[:12]
 
     def compile(self, device: str = "cpu") -> tuple[Integrator, EnergyWatch]:
         """The integrator and its energy watch. Raises ConfigurationError when the one cannot do what the scene needs."""
@@ -131,7 +144,7 @@ class Plan:
             *([] if self.limits is None else ["step limits", *(f"  {line}" for line in self.limits.lines())]),
             "step",
             f"  {solver.integrator}: {self._kernel()}",
-            f"  {self.time_step:.4e} s{limit}",
+            f"  {self.time_step:.4e} s{limit}" + (f", so short to follow the load '{self.shortened_for}' over time" if self.shortened_for else ""),
             f"  {self.steps} steps, {self.steps_per_frame} per frame, {recording.frames} frames over {recording.duration:g} s",
             f"  {self.predicted_seconds():.2g} s predicted for the steps",
         ]
@@ -160,12 +173,15 @@ def plan(scene: Scene, mesh: TetMesh) -> Plan:
     can move; ConfigurationError for effects or methods that do not go together. Logs a warning where the scene lies
     outside linear elasticity, where the elements lock, and where nothing holds or loads the solid.
     """
-    model = assemble(mesh, scene.material, scene.solver.element)
+    inclusions = {name: (effect.tets(mesh), effect.material) for name, effect in scene.effects.items() if isinstance(effect, ChangesMaterial)}
+    model = assemble(mesh, with_inclusions(mesh, scene.material, inclusions), scene.solver.element)
     demands = demands_of(scene, model)
-    _warn_about_validity(scene, demands)
+    _warn_about_validity(scene, model, demands)
     is_explicit = INTEGRATORS[scene.solver.integrator].is_explicit
     limits = step_limits(model, demands.fixed, demands.added_stiffness, demands.damping, demands.stable_fraction) if is_explicit else None
-    return Plan(scene, model, demands, limits, _steps_per_frame(scene, demands, limits))
+    count = _steps_per_frame(scene, demands, limits)
+    finer, load = following_loads(scene, demands, count)
+    return Plan(scene, model, demands, limits, finer, load)
 
 
 def _steps_per_frame(scene: Scene, demands: Demands, limits: StepLimits | None) -> int:
@@ -194,23 +210,26 @@ def _longest_unlimited_step(scene: Scene, demands: Demands) -> float:
         return scene.solver.time_step
     interval = scene.recording.duration / (scene.recording.frames - 1)
     longest = interval / IMPLICIT_STEPS_PER_FRAME if scene.solver.integrator == "newmark" else interval
-    loads = (*demands.loads.values(), *demands.case_loads.values())
-    return min([longest, *(float(np.diff(load.history.times).min()) / STEPS_PER_SEGMENT for load in loads if not load.history.is_constant)])
+    for name, load in (demands.loads | demands.case_loads).items():
+        if not load.history.is_constant:
+            longest = min(longest, float(np.diff(load.history.times).min()) / STEPS_PER_SEGMENT)
+            require_bearable(scene.recording.duration / longest, name)
+    return longest
 
 
-def _warn_about_validity(scene: Scene, demands: Demands) -> None:
-    material, element = scene.material, scene.solver.element
-    if material.poisson_ratio > LOCKING_POISSON_RATIO[element]:
-        logger.warning(
-            "Poisson ratio %.5g > %.3g: %s tets lock and the solid will look too stiff; set solver.element=P1_nodal_pressure",
-            material.poisson_ratio,
-            LOCKING_POISSON_RATIO[element],
-            "linear" if element == "P1" else "quadratic",
-        )
-    if demands.stress > LARGEST_LINEAR_STRAIN * material.youngs_modulus and not demands.replaces_elasticity:
+def _warn_about_validity(scene: Scene, model: ElasticModel, demands: Demands) -> None:
+    element, poisson_ratio = scene.solver.element, float(np.max(model.material.poisson_ratio))
+    strain = demands.stress / float(np.min(model.material.youngs_modulus))
+    if poisson_ratio > LOCKING_POISSON_RATIO[element]:
+        kind, cure = "linear" if element == "P1" else "quadratic", "set solver.element=P1_nodal_pressure"
+        if not isinstance(model.material, Material):  # which that element refuses
+            cure = "set solver.element=P2" if element == "P1" else "lower the Poisson ratio"
+        limit = LOCKING_POISSON_RATIO[element]
+        logger.warning("Poisson ratio %.5g > %.3g: %s tets lock and the solid will look too stiff; %s", poisson_ratio, limit, kind, cure)
+    if strain > LARGEST_LINEAR_STRAIN and not demands.replaces_elasticity:
         logger.warning(
             "outside linear elasticity: the load is %.2g of Young's modulus, valid up to about %.2g; it is run as asked (the paper's own scene has 0.8)",
-            demands.stress / material.youngs_modulus,
+            strain,
             LARGEST_LINEAR_STRAIN,
         )
     if not demands.moves:

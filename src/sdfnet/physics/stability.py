@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.sparse import csr_matrix, diags
 
-from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.roles import Damping
 from sdfnet.physics.elasticity import ElasticModel, element_matrices, lumped_mass_shares, shape_gradients
 from sdfnet.physics.mass import ConsistentMass, LumpedMass
+from sdfnet.physics.materials import per_tet
 from sdfnet.physics.modes import largest_eigenvalue
+from sdfnet.scene import Material
 
 LUMPED_OVER_CONSISTENT = {False: 5.0, True: 70 / 9}  # the most that a tet's lumped mass can exceed its consistent one, linear and quadratic
 
@@ -93,11 +94,11 @@ def step_limits(
         gershgorin=2 / math.sqrt(float(abs(scaled).sum(axis=1).max())),
         element_lumped=2 / math.sqrt(float(lumped.max()) + contact),
         element_consistent=2 / math.sqrt(float(consistent.max()) + LUMPED_OVER_CONSISTENT[model.elements.is_quadratic] * contact),
-        courant=model.mesh.smallest_edge / model.material.pressure_wave_speed,
+        courant=model.mesh.smallest_edge / float(np.max(model.material.pressure_wave_speed)),
         damping=Damping() if damping is None else damping,
         stable_fraction=stable_fraction,
         governing_tet=worst,
-        governing=_governing(model.mesh, worst, lumped),
+        governing=_governing(model, worst, lumped),
     )
 
 
@@ -116,22 +117,24 @@ def _element_eigenvalues(model: ElasticModel) -> tuple[Float64[np.ndarray, " tet
         return np.linalg.eigvalsh(scaled)[:, -1], np.linalg.eigvalsh(lower @ stiffness @ lower.transpose(0, 2, 1))[:, -1]
     gradients = shape_gradients(model.mesh)
     blocks = (
-        material.lame_lambda * np.einsum("tia,tjb->tiajb", gradients, gradients)
-        + material.lame_mu * np.einsum("tib,tja->tiajb", gradients, gradients)
-        + material.lame_mu * np.einsum("tic,tjc,ab->tiajb", gradients, gradients, np.eye(3))
+        per_tet(material.lame_lambda, 4) * np.einsum("tia,tjb->tiajb", gradients, gradients)
+        + per_tet(material.lame_mu, 4) * np.einsum("tib,tja->tiajb", gradients, gradients)
+        + per_tet(material.lame_mu, 4) * np.einsum("tic,tjc,ab->tiajb", gradients, gradients, np.eye(3))
     )
     lumped = 4 / material.density * np.linalg.eigvalsh(blocks.reshape(-1, 12, 12))[:, -1]
     return lumped, 5 * lumped
 
 
-def _governing(mesh: TetMesh, tet: int, squared: Float64[np.ndarray, " tets"]) -> str:
+def _governing(model: ElasticModel, tet: int, squared: Float64[np.ndarray, " tets"]) -> str:
     """The tet that makes the step small, and what the step would be without it and its like."""
+    mesh, material = model.mesh, model.material
     corners = mesh.nodes[mesh.tets[tet]]
     areas = [np.linalg.norm(np.cross(*(np.delete(corners, k, axis=0)[1:] - np.delete(corners, k, axis=0)[0]))) / 2 for k in range(4)]
     altitude = 3 * mesh.volumes[tet] / max(areas)
     x, y, z = corners.mean(axis=0)
     gain = math.sqrt(float(squared[tet] / np.quantile(squared, 0.99)))
+    made_of = "" if isinstance(material, Material) else f", of Young's modulus {material.youngs_modulus[tet]:.4g} Pa"
     return (
-        f"tet {tet} at ({x:.4g}, {y:.4g}, {z:.4g}) m, smallest altitude {altitude:.3g} m; "
+        f"tet {tet} at ({x:.4g}, {y:.4g}, {z:.4g}) m, smallest altitude {altitude:.3g} m{made_of}; "
         f"without the worst hundredth of the tets the element bound would be {gain:.2f} times as large"
     )

@@ -1,6 +1,7 @@
 """What a simulation gives: the displacement of every node at the recorded times."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -8,6 +9,7 @@ from jaxtyping import Float64, Int64
 from sdfnet.errors import ConfigurationError
 from sdfnet.geometry.surface import Surface
 from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.elasticity import displacement_gradients
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,12 @@ class Trajectory:
     report: dict[str, float | int | str]  # how it was made and how well; units in the names
     cases: tuple[str, ...] = ()  # names of the load cases; empty for a single one
     checks: FrameChecks | None = None  # what is broken in each frame; none where nobody asked
+
+    @cached_property
+    def inverted_tets(self) -> Int64[np.ndarray, " frames"]:
+        """How many tets of each frame have a volume of zero or less."""
+        gradients = displacement_gradients(self.mesh, self.displacements)
+        return np.array([(np.linalg.det(gradient + np.eye(3)) <= 0).sum() for gradient in gradients], dtype=np.int64)
 
     @property
     def surface_vertices(self) -> Float64[np.ndarray, "frames vertices 3"]:

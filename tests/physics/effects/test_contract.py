@@ -20,23 +20,24 @@ from sdfnet.physics.effects.finite_strain import FiniteStrain
 from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.gravity import Gravity
 from sdfnet.physics.effects.history import History, ramp
+from sdfnet.physics.effects.inclusion import Inclusion
 from sdfnet.physics.effects.initial_motion import InitialMotion
 from sdfnet.physics.effects.pinned import Pinned
 from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.effects.prestrain import Prestrain
 from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
 from sdfnet.physics.effects.rigid_finger import RigidFinger
-from sdfnet.physics.effects.roles import AddsDamping, AddsLoad, ConstrainsNodes, FollowsState, ReplacesElasticity, SetsStart
+from sdfnet.physics.effects.roles import AddsDamping, AddsLoad, ChangesMaterial, ConstrainsNodes, FollowsState, ReplacesElasticity, SetsStart
 from sdfnet.physics.effects.traction import Traction
 from sdfnet.physics.elasticity import finite_elements
 from sdfnet.physics.plan import plan
 from sdfnet.physics.regions import BoxRegion
 from sdfnet.physics.simulate import run
 from sdfnet.plugins import find_effects, frozen, writable
-from sdfnet.scene import Effect, Geometry, Recording, Scene, Solver
+from sdfnet.scene import Effect, Geometry, Material, Recording, Scene, Solver
 
 MakeBox = Callable[..., TetMesh]
-ROLES = (ConstrainsNodes, AddsLoad, AddsDamping, SetsStart, FollowsState, ReplacesElasticity)
+ROLES = (ChangesMaterial, ConstrainsNodes, AddsLoad, AddsDamping, SetsStart, FollowsState, ReplacesElasticity)
 ALL_ELEMENTS = ("P1", "P1_nodal_pressure", "P2")
 FOLDER = Path(str(sdfnet.physics.effects.__file__)).parent
 SHARED = {"__init__.py", "arrays.py", "history.py", "roles.py"}  # what every scene goes through, and what these tests' own scene is made of
@@ -58,6 +59,7 @@ SAMPLES = {
     "finite_strain": Sample(FiniteStrain(), None, ("P1",)),
     "floor_contact": Sample(FloorContact(height=-0.005, stiffness_factor=1.0), FloorContact(stiffness_factor=0.0)),
     "gravity": Sample(Gravity(history=FALL), Gravity((0.0, 0.0, 0.0), FALL)),
+    "inclusion": Sample(Inclusion(BoxRegion(lower=(0.5, 0.0, 0.0)), Material(5e4)), None, ("P1", "P2")),
     "initial_motion": Sample(InitialMotion((1.0, 0.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, 0.0), BoxRegion(upper=(0.5, 2.0, 2.0))), InitialMotion()),
     "pinned": Sample(Pinned(), None),
     "pressure_poke": Sample(replace(TOUCH, direction=(1.0, 0.0, 0.0), history=FALL), replace(TOUCH, pressure=0.0)),

@@ -53,3 +53,21 @@ def test_a_ramp_and_a_pulse_that_take_no_time_are_refused() -> None:
     for made in (lambda: ramp(0.0), lambda: pulse(1.0, 1.0), lambda: pulse(1.0, 0.5)):
         with pytest.raises(ConfigurationError, match="history.times must rise"):
             made()
+
+
+def test_steps_that_meet_every_bend_miss_nothing_and_steps_over_a_pulse_all_of_it() -> None:
+    triangle = History((0.3, 0.5, 0.7), (0.0, 2.0, 0.0))
+    assert triangle.missed_share(0.1, 1.0) == pytest.approx(0.0, abs=1e-15)
+    assert triangle.missed_share(1.0, 1.0) == 1.0
+    assert History((3.0, 5.0, 7.0), (0.0, 2.0, 0.0)).missed_share(1.0, 1.0) == 0.0  # there is nothing before the end
+    assert CONSTANT.missed_share(0.7, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("history", [pulse(0.2, 0.6), History((0.0, 0.31, 0.33, 0.9), (0.0, 1.0, -2.0, 0.5)), ramp(1e-6)])
+@pytest.mark.parametrize("time_step", [0.01, 0.07, 0.25])
+def test_what_steps_miss_is_the_area_between_the_load_and_lines_between_its_values_at_the_steps(history: History, time_step: float) -> None:
+    times = np.linspace(0.0, 1.0, 20_001)
+    steps = np.append(np.arange(0.0, 1.0, time_step), 1.0)
+    factors, at_steps = (np.interp(several, history.times, history.values) for several in (times, steps))
+    expected = np.abs(factors - np.interp(times, steps, at_steps)).mean() / np.abs(factors).mean()
+    assert history.missed_share(time_step, 1.0) == pytest.approx(expected, rel=0.1, abs=3e-5)  # where the two cross, trapezoids take a little too much

@@ -34,7 +34,7 @@ def model(request: pytest.FixtureRequest, mesh: TetMesh) -> ElasticModel:
 
 
 def _at_rest(model: ElasticModel, **effects: Effect) -> np.ndarray:
-    return static_solution(plan(Scene(Geometry(), effects, model.material, solver=Solver("newmark", element=model.elements.element)), model.mesh))
+    return static_solution(plan(Scene(Geometry(), effects, MATERIAL, solver=Solver("newmark", element=model.elements.element)), model.mesh))
 
 
 def _held_at_one_corner(model: ElasticModel) -> FixedComponents:

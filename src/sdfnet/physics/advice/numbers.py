@@ -54,13 +54,14 @@ def deformation(mesh: TetMesh, displacements: Float64[np.ndarray, "frames nodes 
 
 
 def strain_numbers(compiled: Plan, found: Deformation) -> list[Number]:
-    """Load strain, indentation under the strongest poke, Cauchy number, rotation, displacement gradient."""
-    material = compiled.scene.material
-    modulus, dents = material.youngs_modulus, [2 * (1 - material.poisson_ratio**2) * strength(poke) / material.youngs_modulus for poke in pokes(compiled)]
+    """Load strain, indentation under the strongest poke, Cauchy number, rotation, displacement gradient; of several materials the worst."""
+    material = compiled.model.material
+    modulus = material.youngs_modulus
+    dents = [float(np.max(2 * (1 - material.poisson_ratio**2) * strength(poke) / modulus)) for poke in pokes(compiled)]
     return [
-        Number("load strain p / E", compiled.demands.stress / modulus, LARGEST_LINEAR_STRAIN),
+        Number("load strain p / E", compiled.demands.stress / float(np.min(modulus)), LARGEST_LINEAR_STRAIN),
         *([Number("patch indentation 2 (1 - nu^2) p / E, of its radius", max(dents), LARGEST_LINEAR_STRAIN)] if dents else []),
-        Number("Cauchy number rho v^2 / E", material.density * found.speed**2 / modulus, LARGEST_LINEAR_STRAIN**2),
+        Number("Cauchy number rho v^2 / E", float(np.max(material.density * found.speed**2 / modulus)), LARGEST_LINEAR_STRAIN**2),
         Number("largest rotation, radians", found.rotation, LARGEST_LINEAR_STRAIN),
         Number("largest displacement gradient", found.gradient, LARGEST_LINEAR_STRAIN),
     ]
@@ -69,23 +70,23 @@ def strain_numbers(compiled: Plan, found: Deformation) -> list[Number]:
 def weight_numbers(compiled: Plan, weight: float, others: float) -> list[Number]:
     """The stress of the weight, rho g L, beside Young's modulus and beside the pressure of the other loads (Pa)."""
     beside = [Number("rho g L / p", weight / others, SMALLEST_CHANGE)] if others > 0 else []
-    return [Number("rho g L / E", weight / compiled.scene.material.youngs_modulus, LARGEST_LINEAR_SAG), *beside]
+    return [Number("rho g L / E", weight / float(np.min(compiled.model.material.youngs_modulus)), LARGEST_LINEAR_SAG), *beside]
 
 
 def element_numbers(compiled: Plan) -> list[Number]:
     """Bulk over shear modulus, and edges per radius of the most coarsely meshed poke."""
     locking = LOCKING_POISSON_RATIO["P1" if compiled.scene.solver.element == "P1_nodal_pressure" else compiled.scene.solver.element]
-    material, limit = compiled.scene.material, Material(poisson_ratio=locking)
+    material, limit = compiled.model.material, Material(poisson_ratio=locking)
     fineness = [edges_per_radius(compiled.model.mesh, poke) for poke in pokes(compiled)]
     return [
-        Number("K / mu", material.bulk_modulus / material.lame_mu, limit.bulk_modulus / limit.lame_mu),
+        Number("K / mu", float(np.max(material.bulk_modulus / material.lame_mu)), limit.bulk_modulus / limit.lame_mu),
         *([Number("elements per patch, radius over edge", min(fineness), EDGES_PER_PATCH)] if fineness else []),
     ]
 
 
 def transits(compiled: Plan) -> Number:
     """How often sound crosses the solid during the run."""
-    crossings = compiled.scene.recording.duration * compiled.scene.material.pressure_wave_speed / compiled.model.mesh.diagonal
+    crossings = compiled.scene.recording.duration * float(np.max(compiled.model.material.pressure_wave_speed)) / compiled.model.mesh.diagonal
     return Number("transits T c / L", crossings, QUIET_TRANSITS)
 
 

@@ -1,5 +1,7 @@
 """What follows the state, and the other element, in the terms of a reduced model."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from scipy.sparse import coo_matrix, csr_matrix, identity, kron, vstack
@@ -13,6 +15,7 @@ from sdfnet.physics.elements import FiniteElements
 from sdfnet.physics.mass import mass_of
 from sdfnet.physics.modes import ShiftedStiffness
 from sdfnet.physics.plan import Plan
+from sdfnet.scene import Material
 
 COUNTERPARTS = {"P1": "P1_nodal_pressure", "P1_nodal_pressure": "P1", "P2": "P1"}  # what each element is compared with
 # The eight parts of a quadratic tet: one at each corner, four around the line between the middles of two opposite edges.
@@ -21,15 +24,8 @@ QUADRATIC_PARTS = np.array([[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 
 
 def contact(compiled: Plan, law: ForceLaw) -> ReducedLaw:
     """A force beside the elastic one."""
-    free, size = np.flatnonzero(~compiled.fixed.ravel()), compiled.fixed.size
-
-    def force(displacement: np.ndarray, time: float) -> np.ndarray:
-        nodal = np.zeros(size)
-        nodal[free] = displacement
-        result: np.ndarray = law.force(torch.from_numpy(nodal.reshape(-1, 3)), time).numpy().reshape(-1)[free]
-        return result
-
-    return ReducedLaw(force, law.stable_fraction, True, np.zeros(len(free)))
+    free = np.flatnonzero(~compiled.fixed.ravel())
+    return ReducedLaw(_force_on(free, compiled.fixed.size, law), law.stable_fraction, True, np.zeros(len(free)))
 
 
 def finite_strain_excess(compiled: Plan, law: ForceLaw | None = None) -> ReducedLaw:
@@ -37,18 +33,22 @@ def finite_strain_excess(compiled: Plan, law: ForceLaw | None = None) -> Reduced
 
     With quadratic elements the linear tets are the eight that its nodes cut each tet into.
     """
-    linear = linear_tets_on_all_nodes(compiled)
+    free, linear = np.flatnonzero(~compiled.fixed.ravel()), linear_tets_on_all_nodes(compiled)
     elastic = FiniteStrain().elastic_law(linear) if law is None else law
-    free, size = np.flatnonzero(~compiled.fixed.ravel()), compiled.fixed.size
+    stiffness, whole = csr_matrix(linear.stiffness[free][:, free]), _force_on(free, compiled.fixed.size, elastic)
+    return ReducedLaw(lambda displacement, time: whole(displacement, time) + stiffness @ displacement, elastic.stable_fraction, False, np.zeros(len(free)))
+
+
+def _force_on(free: np.ndarray, size: int, law: ForceLaw) -> Callable[[np.ndarray, float], np.ndarray]:
+    """A law's force on the free ones of so many degrees of freedom."""
 
     def force(displacement: np.ndarray, time: float) -> np.ndarray:
         nodal = np.zeros(size)
         nodal[free] = displacement
-        linear_part = linear.stiffness @ nodal
-        result: np.ndarray = elastic.force(torch.from_numpy(nodal.reshape(-1, 3)), time).numpy().reshape(-1)[free] + linear_part[free]
+        result: np.ndarray = law.force(torch.from_numpy(nodal.reshape(-1, 3)), time).numpy().reshape(-1)[free]
         return result
 
-    return ReducedLaw(force, elastic.stable_fraction, False, np.zeros(len(free)))
+    return force
 
 
 def linear_tets(compiled: Plan) -> ElasticModel:
@@ -62,7 +62,9 @@ def linear_tets_on_all_nodes(compiled: Plan) -> ElasticModel:
     elements = compiled.model.elements
     if not elements.is_quadratic:
         return linear_tets(compiled)
-    return assemble(TetMesh(elements.nodes, elements.tets[:, QUADRATIC_PARTS].reshape(-1, 4)), compiled.model.material, "P1")
+    material = compiled.model.material
+    of_parts = material if isinstance(material, Material) else material.of_parts(len(QUADRATIC_PARTS))
+    return assemble(TetMesh(elements.nodes, elements.tets[:, QUADRATIC_PARTS].reshape(-1, 4)), of_parts, "P1")
 
 
 def counterpart_element(compiled: Plan) -> tuple[csr_matrix, Answers, float]:

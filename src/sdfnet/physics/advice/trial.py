@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.sparse import csr_matrix
 
-from sdfnet.errors import ConfigurationError, PhysicsError
+from sdfnet.errors import PhysicsError
 from sdfnet.physics.advice.reduced_laws import contact, counterpart_element, finite_strain_excess
 from sdfnet.physics.advice.reduced_model import Acting, ReducedLaw, ReducedModel, reduced_model, strongest
 from sdfnet.physics.effects.gravity import Gravity
@@ -17,7 +17,6 @@ from sdfnet.physics.effects.roles import Damping, ReplacesElasticity
 from sdfnet.physics.modes import ShiftedStiffness
 from sdfnet.physics.motion import TimedLoad
 from sdfnet.physics.plan import STEPS_PER_SEGMENT, Plan
-from sdfnet.physics.trajectory import Trajectory
 
 STEP_ANGLE = 0.25  # omega h of the fastest mode kept: its period errs by (omega h)^2 / 24, 0.3 %
 TOUCH_ANGLE = 0.5  # omega h of the fastest contact
@@ -37,7 +36,7 @@ class Trial:
     of the tets) summed over all frames. Of several load cases the one that stores the most energy stands for all.
     """
 
-    def __init__(self, compiled: Plan, trajectory: Trajectory | None = None) -> None:
+    def __init__(self, compiled: Plan) -> None:
         self.compiled, motion, demands = compiled, compiled.equation(), compiled.demands
         self.times = np.linspace(0.0, compiled.scene.recording.duration, compiled.scene.recording.frames)
         self.free, self.mass = motion.free, motion.mass
@@ -45,8 +44,8 @@ class Trial:
         self.factor = ShiftedStiffness(self.stiffness, self.mass)
         slowest = reduced_model(self.stiffness, self.mass, self.factor)
         self.is_held = bool(slowest.squared[0] > self.factor.shift)
-        self.case = self._strongest_case()
-        chosen = {self.case: demands.case_loads[self.case]} if self.case else {}
+        strongest_case = self._strongest_case()
+        chosen = {strongest_case: demands.case_loads[strongest_case]} if strongest_case else {}
         loads = {name: self._load(load.nodal_force, load.history) for name, load in (demands.loads | chosen).items()}
         self.weight_names = tuple(name for name, effect in compiled.scene.effects.items() if name in loads and isinstance(effect, Gravity))
         self._weightless = tuple(load for name, load in loads.items() if name not in self.weight_names)
@@ -55,14 +54,9 @@ class Trial:
         self.acting = Acting(tuple(loads.values()), demands.damping, (), displacement, velocity)
         pushes = [load.force for load in (*loads.values(), *self._missing_weight)]
         self.model = self._with_answers(slowest, np.concatenate([*pushes, self.mass.product(velocity[:, None])], axis=1))
-        elastic = [name for name in demands.laws if isinstance(compiled.scene.effects[name], ReplacesElasticity)]
-        self.law_names = (*(name for name in demands.laws if name not in elastic), *elastic)  # contact sets the path along which elasticity is tried
-        for name in self.law_names:
-            law = demands.laws[name]
-            self.model, reduced = self._prepared(finite_strain_excess(compiled, law) if name in elastic else contact(compiled, law))
-            self.acting = replace(self.acting, laws=(*self.acting.laws, reduced))
+        self.law_names = self._add_laws()
         self.path = self._bounded(self.model, self.acting, self.acting.laws)
-        self.displacements = self._corners(self.model, self.path) if trajectory is None else self._of_trajectory(trajectory)
+        self.displacements = self._corners(self.model, self.path)
         self.size = self._norm(self.displacements)
 
     def weight_change(self) -> float:
@@ -114,6 +108,16 @@ class Trial:
         """The displacements of the trial without one of its laws, m."""
         path = self.model.motion(self.without_law(index), self.times, self._steps_per_frame(self.acting.laws), self.acting.laws)
         return self._corners(self.model, path)
+
+    def _add_laws(self) -> tuple[str, ...]:
+        """Let the scene's laws act, contact before elasticity: it sets the path along which that is tried. Their names in this order."""
+        effects, laws = self.compiled.scene.effects, self.compiled.demands.laws
+        names = sorted(laws, key=lambda name: isinstance(effects[name], ReplacesElasticity))
+        for name in names:
+            reduce = finite_strain_excess if isinstance(effects[name], ReplacesElasticity) else contact
+            self.model, reduced = self._prepared(reduce(self.compiled, laws[name]))
+            self.acting = replace(self.acting, laws=(*self.acting.laws, reduced))
+        return tuple(names)
 
     def _strongest_case(self) -> str:
         """The name of the load case that would store the most energy at rest; empty without load cases."""
@@ -184,14 +188,6 @@ class Trial:
         with np.errstate(over="ignore", invalid="ignore"):
             values[:, self.free] = path @ model.shapes.T
         return values.reshape(len(path), -1, 3)[:, : len(self.compiled.model.mesh.nodes)]
-
-    def _of_trajectory(self, trajectory: Trajectory) -> Float64[np.ndarray, "frames nodes 3"]:
-        """The frames of the case that the trial is about."""
-        frames = (trajectory.case(self.case) if self.case else trajectory).displacements
-        expected = (len(self.times), *self.compiled.model.mesh.nodes.shape)
-        if frames.shape != expected:
-            raise ConfigurationError(f"the trajectory must be a run of this scene with shape {expected}, found {frames.shape}; simulate the scene again")
-        return frames
 
     def _relative(self, difference: Float64[np.ndarray, "frames nodes 3"]) -> float:
         """Its norm over that of the displacements; infinite beside a scene in which nothing moves."""

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sdfnet.errors import ConfigurationError
+from sdfnet.geometry.tetmesh import TET_FACES
 from sdfnet.physics.elasticity import ElasticModel
 
 LARGEST_PENETRATION = 0.1  # of an edge: more is seen in the shape, and is warned of
@@ -29,7 +30,17 @@ def penalty(model: ElasticModel, factor: float) -> Penalty:
     corners = model.mesh.nodes[model.mesh.boundary_faces]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    return Penalty(edges, areas, factor * (model.material.lame_lambda + 2 * model.material.lame_mu) / edges)
+    return Penalty(edges, areas, factor * wave_moduli(model) / edges)
+
+
+def wave_moduli(model: ElasticModel) -> Float64[np.ndarray, " faces"]:
+    """lambda + 2 mu of the tet behind each boundary face, Pa."""
+    mesh, material = model.mesh, model.material
+    digits = len(mesh.nodes) ** np.arange(3)  # of a number that names a face by its nodes
+    of_tets, wanted = (np.sort(faces, axis=1) @ digits for faces in (mesh.tets[:, TET_FACES].reshape(-1, 3), mesh.boundary_faces))
+    order = np.argsort(of_tets)
+    behind = order[np.searchsorted(of_tets, wanted, sorter=order)] // len(TET_FACES)
+    return np.broadcast_to(material.lame_lambda + 2 * material.lame_mu, len(mesh.tets))[behind]
 
 
 def check_factor(name: str, factor: float) -> None:

@@ -13,6 +13,8 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.physics.effects.roles import ForceLaw, ReplacesElasticity, Report
 from sdfnet.physics.elasticity import ElasticModel, shape_gradients
 from sdfnet.physics.integrators.integrator import torch_csr
+from sdfnet.physics.materials import per_tet
+from sdfnet.scene import Material
 
 # A wave's speed squared along n is (mu + (lambda + mu) |cof F n|^2) / rho: frequencies grow no faster than the area of faces. So this allows
 # faces 1.4 times their area: a bar under tension to twice its length or pressed to half, a shear by 0.9, a swelling of each length by 0.15.
@@ -58,8 +60,9 @@ class NeoHooke(ForceLaw):
         mesh, material = model.mesh, model.material
         n_tets, n_nodes = len(mesh.tets), len(mesh.nodes)
         self._tets, self._gradients, self._volumes = mesh.tets, shape_gradients(mesh), mesh.volumes
-        self._mu, self._stiffening = material.lame_mu, material.lame_lambda + material.lame_mu
-        self._laplacian, self._collect = torch_csr(-self._mu * _laplacian(model)), torch_csr(_collection(mesh.tets, n_nodes))
+        self._mu, self._stiffening = (np.asarray(number) for number in (material.lame_mu, material.lame_lambda + material.lame_mu))
+        self._shear, self._minus_stiffening = torch.as_tensor(self._mu), torch.as_tensor(-self._stiffening)
+        self._laplacian, self._collect = torch_csr(_negative_weighted_laplacian(model)), torch_csr(_collection(mesh.tets, n_nodes))
         self._positions, self._corners = torch.from_numpy(mesh.nodes), torch.from_numpy(mesh.tets.T.astype(np.int32).ravel())
         # Tets last: arithmetic on whole arrays of one number per tet is several times faster than on small matrices.
         self._places, self._edges, self._normals = (torch.empty(3, count, n_tets, dtype=torch.float64) for count in (4, 3, 3))
@@ -103,7 +106,7 @@ class NeoHooke(ForceLaw):
 
     def _volumetric_force(self) -> Float64[Tensor, "3 nodes"]:
         """-sum over tets of ((lambda + mu)(v/V - 1) - mu) dv/dx, N, after `_deform`, whose cross products it uses up."""
-        torch.div(self._sixfold, self._rest_sixfold, out=self._strength).sub_(1).mul_(-self._stiffening).add_(self._mu)
+        torch.div(self._sixfold, self._rest_sixfold, out=self._strength).sub_(1).mul_(self._minus_stiffening).add_(self._shear)
         for normals, force in zip(self._normals.mul_(self._strength), self._volumetric, strict=True):
             torch.mv(self._collect, normals.view(-1), out=force)
         return self._volumetric
@@ -119,12 +122,13 @@ class NeoHooke(ForceLaw):
         return gradient, trace + cofactors, cofactors
 
 
-def _laplacian(model: ElasticModel) -> csr_matrix:
-    """L: the integral of grad N . grad N, m."""
-    tets, gradients = model.mesh.tets, shape_gradients(model.mesh)
-    blocks = model.mesh.volumes[:, None, None] * (gradients @ gradients.transpose(0, 2, 1))
+def _negative_weighted_laplacian(model: ElasticModel) -> csr_matrix:
+    """-mu L, L the integral of grad N . grad N, N/m; with several materials mu stands within the integral."""
+    tets, gradients, material = model.mesh.tets, shape_gradients(model.mesh), model.material
+    within, before = (1.0, material.lame_mu) if isinstance(material, Material) else (per_tet(material.lame_mu, 2), 1.0)
+    blocks = within * model.mesh.volumes[:, None, None] * (gradients @ gradients.transpose(0, 2, 1))
     places = (np.repeat(tets, 4, axis=1).ravel(), np.tile(tets, 4).ravel())
-    return csr_matrix(coo_matrix((blocks.ravel(), places)))
+    return csr_matrix(-before * csr_matrix(coo_matrix((blocks.ravel(), places))))
 
 
 def _collection(tets: Int64[np.ndarray, "tets 4"], n_nodes: int) -> csr_matrix:

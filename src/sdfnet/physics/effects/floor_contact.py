@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
 from sdfnet.errors import ConfigurationError, PhysicsError
-from sdfnet.physics.effects.contact import LARGEST_PENETRATION, check_factor, penalty, unit
+from sdfnet.physics.effects.contact import LARGEST_PENETRATION, check_factor, penalty, unit, wave_moduli
 from sdfnet.physics.effects.roles import ConservingLaw, FollowsState, ForceLaw, Report
 from sdfnet.physics.elasticity import ElasticModel
 
@@ -59,7 +59,12 @@ class FloorContact(FollowsState):
         faces, pushes = model.elements.boundary_faces, penalty(model, self.stiffness_factor)
         corners = faces.shape[1]
         stiffness = np.bincount(faces.ravel(), np.repeat(pushes.stiffness * pushes.areas / corners, corners), minlength=len(fixed))
-        edges = self.stiffness_factor * (model.material.lame_lambda + 2 * model.material.lame_mu) * model.elements.surface_areas[nodes] / stiffness[nodes]
+        moduli = wave_moduli(model)
+        stiffest = float(moduli.max())
+        areas = np.bincount(
+            faces.ravel(), np.repeat(pushes.areas * (moduli / stiffest) / corners, corners), minlength=len(fixed)
+        )  # of one modulus, as pushes.areas
+        edges = self.stiffness_factor * stiffest * areas[nodes] / stiffness[nodes]
         return Floor(len(fixed), nodes, np.maximum(gaps, 0.0), normal, stiffness[nodes], edges)
 
     def _starts_under(self, model: ElasticModel, nodes: np.ndarray, gaps: np.ndarray, lowest: float) -> str:

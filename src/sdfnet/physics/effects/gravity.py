@@ -8,6 +8,7 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.physics.effects.history import History
 from sdfnet.physics.effects.roles import AddsLoad, Load
 from sdfnet.physics.elasticity import ElasticModel, body_force
+from sdfnet.physics.materials import per_tet
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,8 @@ class Gravity(AddsLoad):
     def load(self, model: ElasticModel) -> Load:
         """The nodal force, with the weight in N and rho g L in Pa, the stress under a column as long as the solid."""
         acceleration = np.asarray(self.acceleration, dtype=np.float64)
-        nodal_force = body_force(model.elements, model.material.density * acceleration)
+        nodal_force = body_force(model.elements, per_tet(model.material.density, 1) * acceleration)
         # g times the extent along g, so that no direction is needed where g is zero.
         potential = float(np.ptp(model.mesh.nodes @ acceleration))
-        stress = model.material.density * potential
+        stress = float(np.max(model.material.density)) * potential
         return Load(nodal_force, stress, {"weight_N": float(np.linalg.norm(nodal_force.sum(axis=0))), "rho_g_length_Pa": stress}, self.history)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from sdfnet.errors import ConfigurationError
 
@@ -28,6 +29,19 @@ class History:
     def factor(self, time: float) -> float:
         """The factor at a time (s)."""
         return float(np.interp(time, self.times, self.values))
+
+    def missed_share(self, time_step: float, duration: float) -> float:
+        """How much of the load steps of a length (s) pass over until `duration` (s): integral of |factor - lines between its values at the steps| / |factor|.
+
+        Only steps with a bend of the history within can miss anything.
+        """
+        bends = np.asarray(self.times)[(np.asarray(self.times) > 0) & (np.asarray(self.times) < duration)]
+        first = np.floor(bends / time_step)
+        seen = np.minimum(np.unique([0.0, *first, *(first + 1), np.inf]) * time_step, duration)
+        all_times = np.union1d(seen, bends)
+        factors, between = np.interp(all_times, self.times, self.values), np.interp(all_times, seen, np.interp(seen, self.times, self.values))
+        whole = float(trapezoid(np.abs(factors), all_times))
+        return float(trapezoid(np.abs(factors - between), all_times)) / whole if whole > 0 else 0.0
 
 
 CONSTANT = History()

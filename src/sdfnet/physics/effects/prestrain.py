@@ -9,6 +9,7 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.physics.effects.history import History
 from sdfnet.physics.effects.roles import AddsLoad, Load
 from sdfnet.physics.elasticity import ElasticModel, stress_load
+from sdfnet.physics.materials import per_tet
 
 COMPONENTS = ((0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1))  # rows and columns of xx, yy, zz, yz, xz, xy
 
@@ -48,7 +49,7 @@ class Prestrain(AddsLoad):
         The stress to expect is strain times Young's modulus: a strain, not a stress, is what linear elasticity bears.
         """
         strain, material = self.tensor, model.material
-        stress = material.lame_lambda * np.trace(strain) * np.eye(3) + 2 * material.lame_mu * strain
+        stress = per_tet(material.lame_lambda, 2) * np.trace(strain) * np.eye(3) + 2 * per_tet(material.lame_mu, 2) * strain
         largest, held = (float(np.abs(np.linalg.eigvalsh(tensor)).max()) for tensor in (strain, stress))
         report: dict[str, float | int | str] = {"largest_strain": largest, "stress_if_held_Pa": held}
-        return Load(stress_load(model.elements, stress), largest * material.youngs_modulus, report, self.history, is_stress=True)
+        return Load(stress_load(model.elements, stress), largest * float(np.min(material.youngs_modulus)), report, self.history, is_stress=True)

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
+from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.history import CONSTANT, History
 from sdfnet.physics.elasticity import ElasticModel
 from sdfnet.physics.elements import FiniteElements
-from sdfnet.scene import Effect
+from sdfnet.scene import Effect, Material
 
 Report = dict[str, float | int | str]
 
@@ -25,6 +26,16 @@ class ConstrainsNodes(Effect, ABC):
     @abstractmethod
     def fixed_components(self, elements: FiniteElements) -> Bool[np.ndarray, "nodes 3"]:
         """True where a node's component does not move. Raises PhysicsError when that is nowhere or everywhere."""
+
+
+class ChangesMaterial(Effect, ABC):
+    """Makes a part of the solid of another material."""
+
+    material: Material
+
+    @abstractmethod
+    def tets(self, mesh: TetMesh) -> Bool[np.ndarray, " tets"]:
+        """True for the tets that are made of `material`. Raises PhysicsError when none is."""
 
 
 @dataclass(frozen=True, eq=False)
