@@ -10,7 +10,13 @@ from sdfnet.models.settings import ModelSettings
 
 LOWER, UPPER = torch.tensor([-0.1, -0.2, 0.0]), torch.tensor([0.3, 0.2, 0.5])
 SMALL = ModelSettings(width=64, depth=2, taper=False, latent=32, encoding="fourier", frequencies=64)
-KINDS = [SMALL, ModelSettings(), ModelSettings(width=16, depth=1, latent=3, activation="sine"), ModelSettings(width=8, depth=4, latent=5, activation="gelu")]
+KINDS = [
+    SMALL,
+    ModelSettings(),
+    ModelSettings(width=16, depth=1, latent=3, activation="sine"),
+    ModelSettings(width=8, depth=4, latent=5, activation="gelu"),
+    ModelSettings(width=8, depth=3, latent=5, encoding="hash_grid", activation="siren"),
+]
 
 
 def plain_distances(decoder: SdfCalculator, settings: ModelSettings, latents: Tensor, points: Tensor) -> Tensor:
@@ -94,3 +100,36 @@ def test_distances_are_float32_under_autocast() -> None:
     assert rounded.dtype == torch.float32
     # bf16 keeps eight bits: three layers of it lose about one part in a hundred of outputs below 0.3 m
     torch.testing.assert_close(rounded, decoder(latents, points), rtol=0, atol=5e-3)
+
+
+def test_a_modulated_decoder_is_the_formula_layer_by_layer() -> None:
+    settings = ModelSettings(width=6, depth=3, taper=True, latent=4, activation="silu", conditioning="modulated")
+    decoder = SdfCalculator(settings, LOWER, UPPER)
+    latents, points = torch.randn(2, 4), points_in_box(10)
+    linear = [layer for layer in decoder.layers if isinstance(layer, nn.Linear)]
+    for latent, found in zip(latents, decoder(latents, points), strict=True):
+        numbers = decoder.from_latent.weight @ latent + decoder.from_latent.bias
+        scales, shifts = numbers[:15].split([6, 6, 3]), numbers[15:].split([6, 6, 3])
+        hidden = decoder.from_point((points - (LOWER + UPPER) / 2) / ((UPPER - LOWER).mean() / 2))
+        for place in range(3):
+            hidden = hidden if place == 0 else linear[place - 1](hidden)
+            hidden = nn.functional.silu((1 + scales[place]) * hidden + shifts[place])
+        # the same sums in another order, of numbers below one
+        torch.testing.assert_close(found, linear[-1](hidden)[:, 0] * OUTPUT_UNIT * (UPPER - LOWER).mean() / 2, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("conditioning", ["first_layer", "modulated"])
+def test_gradients_are_those_of_each_shapes_own_distance_and_lead_back_to_the_weights(conditioning: str) -> None:
+    settings = ModelSettings(width=8, depth=2, latent=3, encoding="fourier", frequencies=4, activation="silu", conditioning=conditioning)
+    decoder = SdfCalculator(settings, LOWER, UPPER)
+    latents, points = torch.randn(2, 3), points_in_box(10)
+    found = decoder.gradients(latents, points)
+    for frame in range(2):
+        own = points.clone().requires_grad_()
+        (slope,) = torch.autograd.grad(decoder(latents[frame : frame + 1], own).sum(), own)
+        torch.testing.assert_close(found[frame], slope, rtol=1e-4, atol=1e-5)  # float32, in another order
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        under_autocast = decoder.gradients(latents.bfloat16().float(), points)
+    assert torch.equal(under_autocast, decoder.gradients(latents.bfloat16().float(), points))
+    found.square().sum().backward()
+    assert all(weights.grad is not None and float(weights.grad.abs().max()) > 0 for name, weights in decoder.named_parameters() if "weight" in name)

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import TypeCheckError
 
 from sdfnet.models.encodings import FourierFeatures, IdentityEncoding, encoding_of
+from sdfnet.models.settings import ModelSettings
 
 
 def test_features_are_the_sines_then_the_cosines_of_the_same_phases() -> None:
@@ -44,8 +45,8 @@ def test_phases_keep_float32_under_autocast() -> None:
 
 def test_an_encoding_is_found_by_its_name_and_says_its_width() -> None:
     points = torch.rand(2, 6, 3)
-    for kind, width in (("none", 3), ("fourier", 10)):
-        encoding = encoding_of(kind, 5, 1.0)
+    for kind, width in (("none", 3), ("fourier", 10), ("hash_grid", 12), ("dense_grid", 4)):
+        encoding = encoding_of(ModelSettings(encoding=kind, frequencies=5, grid_levels=3, grid_features=4), torch.ones(3))
         assert encoding.features == width
         assert encoding(points).shape == (2, 6, width)
     assert torch.equal(IdentityEncoding()(points), points)

@@ -81,7 +81,7 @@ def test_a_module_can_be_fitted_again(start: Start) -> None:
     training = TrainingSettings(epochs=1, cycle=(Phase("decoder", 1),))
     first, second = start(SHARED, training, SOAP).fit(), start(SHARED, training, SOAP)
     with torch.no_grad():
-        first.module.networks.encoder.layers.get_parameter("0.weight").mul_(2)
+        first.module.networks.encoder.get_parameter("layers.0.weight").mul_(2)
     second.module = first.module
     calls: list[int] = []
     first.module.networks.encoder.register_forward_hook(lambda *_: calls.append(1))

@@ -1,10 +1,13 @@
-"""How a query point enters the SDF Calculator: as it is, or as Fourier features (the paper's first suggestion)."""
+"""How a query point enters the SDF Calculator: as it is, as Fourier features (the paper's first suggestion), or as learned features on a grid."""
 
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from torch import Tensor, nn
+
+from sdfnet.models.grid_features import GridFeatures
+from sdfnet.models.settings import ModelSettings
 
 SMALLEST_QUANTILE = 1e-4  # keeps the inverse error function finite: no frequency beyond 3.7 deviations
 
@@ -43,6 +46,15 @@ class FourierFeatures(nn.Module):
         return torch.cat([torch.sin(phase), torch.cos(phase)], dim=-1)
 
 
-def encoding_of(kind: str, frequencies: int, scale: float) -> IdentityEncoding | FourierFeatures:
-    """The encoding by its name in the settings."""
-    return IdentityEncoding() if kind == "none" else FourierFeatures(frequencies, scale)
+Encoding = IdentityEncoding | FourierFeatures | GridFeatures
+
+
+def encoding_of(settings: ModelSettings, extent: Float32[Tensor, "3"]) -> Encoding:
+    """The encoding that the settings name, for points in a box with these half sides, both in mean half sides."""
+    if settings.encoding == "none":
+        return IdentityEncoding()
+    if settings.encoding == "fourier":
+        return FourierFeatures(settings.frequencies, settings.fourier_scale)
+    resolutions = settings.grid_resolutions
+    table_size = settings.grid_table_size if settings.encoding == "hash_grid" else (resolutions[0] + 1) ** 3
+    return GridFeatures(resolutions, settings.grid_features, table_size, extent)

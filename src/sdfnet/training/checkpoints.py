@@ -3,7 +3,9 @@
 import reprlib
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from lightning import LightningModule, Trainer
@@ -11,24 +13,50 @@ from lightning.pytorch.callbacks import Callback
 
 from sdfnet.data.store import written_whole
 from sdfnet.errors import TrainingError
+from sdfnet.stopping import Stopped, signals_handled
 
 
 class TimedCheckpoint(Callback):
-    """Writes `path` again whenever `seconds` have passed, always just before a step.
+    """Writes `path` again whenever `seconds` have passed and when the run is told to stop, always just before a step.
 
     Not Lightning's ModelCheckpoint, which writes just after one: when that was an epoch's last step, Lightning resumes
-    with the next epoch and leaves out the validation in between, which the second plateau listens to.
+    with the next epoch and leaves out the validation in between, which the second plateau listens to. Told to stop by
+    Ctrl-C or SIGTERM, it waits for the next step, writes and raises Stopped; told twice, it stops at once.
     """
 
     def __init__(self, path: Path, seconds: float) -> None:
         self._path, self._seconds = path, seconds
         self._written = time.monotonic()
+        self._told: int | None = None  # the signal that told the run to stop
+        self._handled = ExitStack()
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """From here on wait with stopping for a step that can be resumed from."""
+        self._handled.enter_context(signals_handled(self._remember))
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Write if it is time."""
-        if time.monotonic() - self._written >= self._seconds:
+        """Write if it is time. Raises Stopped when told to."""
+        if self._told is not None or time.monotonic() - self._written >= self._seconds:
             save_checkpoint(trainer, self._path)
             self._written = time.monotonic()
+        self.stop_if_told()
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """No step is left to wait for."""
+        self._handled.close()
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        """No step is left to wait for."""
+        self._handled.close()
+
+    def stop_if_told(self) -> None:
+        """Raise Stopped when a signal came that was not followed: after the last step this waits for the last checkpoint."""
+        if self._told is not None:
+            raise Stopped(self._told)
+
+    def _remember(self, number: int, frame: FrameType | None) -> None:
+        self.stop_if_told()
+        self._told = number
 
 
 def save_checkpoint(trainer: Trainer, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The losses of the paper (section 4, equations 1 to 9), computed so that equal and zero latents stay finite."""
+"""The losses of the paper (section 4, equations 1 to 9), computed so that equal and zero latents stay finite, and two that are not the paper's."""
 
 import torch
 from jaxtyping import Float, Float32, Int64
@@ -51,6 +51,16 @@ def time_scale(difference: Int64[Tensor, " pairs"]) -> Float32[Tensor, " pairs"]
 def alpha_latent(epoch: int) -> float:
     """Equation 8: 0.0005 / (e + 1)^1.4 before epoch 200 (from 0), then nothing."""
     return ALPHA_LATENT_START / (epoch + 1) ** ALPHA_LATENT_POWER if epoch < ALPHA_LATENT_EPOCHS else 0.0
+
+
+def latent_norm_loss(latents: Float[Tensor, "frames latent"]) -> Float32[Tensor, ""]:
+    """Mean squared length of the latents, which keeps learned ones about the origin (DeepSDF, Park et al. 2019, equation 9)."""
+    return latents.float().square().sum(dim=-1).mean()
+
+
+def eikonal_loss(gradients: Float32[Tensor, "frames points 3"]) -> Float32[Tensor, ""]:
+    """Mean of | |grad f| - 1 |, zero for a true distance except on its ridges; a gradient of zero has no slope, not an infinite one."""
+    return (torch.linalg.vector_norm(gradients, dim=-1) - 1).abs().mean()
 
 
 def _unit(vectors: Tensor) -> Tensor:

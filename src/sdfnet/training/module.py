@@ -3,23 +3,24 @@
 import logging
 import statistics
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from lightning import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
 from sdfnet.data.datamodule import Batch, ShapeFamily
-from sdfnet.errors import TrainingError
+from sdfnet.errors import ConfigurationError, TrainingError
 from sdfnet.models.networks import RECORD, Networks
 from sdfnet.models.settings import ModelSettings
 from sdfnet.training.checkpoints import require_same_run
 from sdfnet.training.cycle import PhaseAt, phase_at
 from sdfnet.training.divergence import loses_surface, require_finite_gradients, require_finite_loss, require_finite_validation
-from sdfnet.training.losses import alpha_latent, latent_loss, one_minus_cosine, sdf_loss
+from sdfnet.training.losses import one_minus_cosine
+from sdfnet.training.objective import Objective
 from sdfnet.training.optimizers import decoder_optimizer, encoder_optimizer
 from sdfnet.training.schedules import decay, take_reading
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
@@ -43,6 +44,7 @@ class SdfTraining(LightningModule):
 
     def __init__(self, family: ShapeFamily, model: ModelSettings, training: TrainingSettings, optimizer: OptimizerSettings) -> None:
         super().__init__()
+        training.require_trainable(model)
         self.automatic_optimization = False
         self._family, self._model, self._training, self._optimizer = family, model, training, optimizer
         self._entered: PhaseAt | None = None
@@ -52,11 +54,16 @@ class SdfTraining(LightningModule):
         self._lost_frames: list[int] = []
 
     def configure_model(self) -> None:
-        """Make the networks for the mesh at hand (Lightning calls this after the data are set up)."""
+        """Make the networks for the mesh at hand (Lightning calls this after the data are set up). Raises ConfigurationError."""
+        family = self._family
         if not hasattr(self, "networks"):
-            box = self._family.samples.box
-            lower, upper = (torch.from_numpy(corner).float() for corner in (box.lower, box.upper))
-            self.networks = Networks(self._model, self._family.shapes[self._family.train_frames], lower, upper)
+            if self._model.latents == "learned" and len(family.train_frames) < len(family.shapes):
+                raise ConfigurationError(
+                    "model.latents=learned has no latent for a frame that is not trained on; set split=all, or model.latents=encoder or pod"
+                )
+            lower, upper = (torch.from_numpy(corner).float() for corner in (family.samples.box.lower, family.samples.box.upper))
+            self.networks = Networks(self._model, family.shapes[family.train_frames], lower, upper)
+        self._objective = Objective(self._training, family.trajectory.mesh.diagonal)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Say what this is a checkpoint of."""
@@ -68,7 +75,7 @@ class SdfTraining(LightningModule):
         """Take up where the run stopped. Raises TrainingError when it was another run, or where Lightning cannot go on exactly."""
         if RECORD not in checkpoint:
             raise TrainingError("the checkpoint is of another program, expected one written by train.py")
-        require_same_run(checkpoint[RECORD], self.identity())
+        self.require_resumable(checkpoint[RECORD])
         last_step = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]
         if last_step["is_last_batch"] and last_step["current"]["completed"] < last_step["current"]["processed"]:
             raise TrainingError(
@@ -96,6 +103,11 @@ class SdfTraining(LightningModule):
             **(family.file_names if hasattr(family, "samples") else {}),
         }
 
+    def require_resumable(self, record: dict[str, Any]) -> None:
+        """Raise TrainingError when `record`, the identity that a checkpoint holds, is not that of this run."""
+        asked = self.identity()
+        require_same_run(_with_later_settings(record, asked), asked)
+
     def configure_optimizers(self) -> Any:
         """One optimiser a network; with plateaus, one scheduler a plateau and network: four objects for the paper's two."""
         settings = self._optimizer
@@ -117,8 +129,9 @@ class SdfTraining(LightningModule):
 
     @property
     def phase(self) -> PhaseAt:
-        """Which networks train in this epoch."""
-        return phase_at(self._training.cycle, self.current_epoch)
+        """Which networks train in this epoch; modes never do."""
+        phase = phase_at(self._training.cycle, self.current_epoch)
+        return replace(phase, trains="decoder") if self._model.latents == "pod" else phase
 
     def on_train_batch_start(self, step: int, step_index: int) -> None:
         """Where a phase begins, freeze the network whose turn it is not; compute the latents once when only the decoder trains.
@@ -142,7 +155,7 @@ class SdfTraining(LightningModule):
         phase = self.phase
         if self._optimizer.schedule != "plateau":
             self._set_decayed_rates(step_index)
-        loss = self._loss(batch, self._latents(batch))
+        loss = self._objective.of_step(self.networks, self._latents(batch), batch, self.current_epoch)
         value = float(loss.detach())
         require_finite_loss(value, self.networks, batch, where)
         encoder_optimizer, decoder_optimizer = self._both_optimizers()
@@ -156,6 +169,7 @@ class SdfTraining(LightningModule):
                 optimizer.step()
         self._epoch_losses.append(value)
         self._read_plateaus("batch", value)
+        self.trainer.should_stop = self._share_of_seconds() >= 1
 
     def on_train_epoch_end(self) -> None:
         """Log the epoch: losses as in Figure 4, rates, phase, latent cosine."""
@@ -185,7 +199,7 @@ class SdfTraining(LightningModule):
         losses, is_lost = [], []
         for some, trues in zip(latents.split(FRAMES_PER_VALIDATION_CHUNK), batch.distances.split(FRAMES_PER_VALIDATION_CHUNK), strict=True):
             predicted = self.networks.decoder.from_encoded(some, encoded)
-            losses += [self._sdf_loss(row[None], true[None]) for row, true in zip(predicted, trues, strict=True)]
+            losses += [self._objective.of_distances(row[None], true[None]) for row, true in zip(predicted, trues, strict=True)]
             is_lost.append(loses_surface(predicted, trues))
         self._validation_losses = torch.stack(losses)
         self._lost_frames = batch.frames[torch.cat(is_lost).cpu()].tolist()
@@ -200,27 +214,17 @@ class SdfTraining(LightningModule):
     def _latents(self, batch: Batch) -> Float[Tensor, "frames latent"]:
         return self.networks.encoder(batch.shapes) if self._fixed_latents is None else self._fixed_latents[batch.frames]
 
-    def _loss(self, batch: Batch, latents: Float[Tensor, "frames latent"]) -> Float32[Tensor, ""]:
-        loss = self._sdf_loss(self.networks.decoder(latents, batch.points), batch.distances)
-        weight = self._training.latent_weight * alpha_latent(self.current_epoch)
-        if weight > 0 and latents.requires_grad and len(latents) > 1:
-            loss = loss + weight * latent_loss(latents, batch.frames.to(latents.device))
-        return loss
-
-    def _sdf_loss(self, predicted: Tensor, true: Tensor) -> Tensor:
-        # Absolute errors are measured in a hundredth of D, so that rates suit a solid of any size; squared ones in metres, as the paper's.
-        diagonal = self._family.trajectory.mesh.diagonal
-        unit = 1.0 if self._training.power == 2 else diagonal / 100
-        focus = None if self._training.focus is None else self._training.focus * diagonal
-        return sdf_loss(predicted, true, self._training.power, focus, unit)
-
     def _set_decayed_rates(self, step_index: int) -> None:
         steps = self._family.steps_per_epoch
-        done = (self.current_epoch * steps + step_index) / (self._training.epochs * steps)
+        done = max((self.current_epoch * steps + step_index) / (self._training.epochs * steps), self._share_of_seconds())
         factor = decay(self._optimizer.schedule, done, self._optimizer.warmup)
         for optimizer, rate in zip(self._both_optimizers(), (self._optimizer.encoder_rate, self._optimizer.decoder_rate), strict=True):
             for group in optimizer.param_groups:
                 group["lr"] = rate * factor
+
+    def _share_of_seconds(self) -> float:
+        """How much of its time training has used; 0 where it has no limit."""
+        return 0.0 if self._training.seconds is None else (time.perf_counter() - self._began) / self._training.seconds
 
     def _read_plateaus(self, watches: str, loss: float) -> None:
         if self._optimizer.schedule != "plateau":
@@ -234,3 +238,9 @@ class SdfTraining(LightningModule):
     def _both_optimizers(self) -> tuple[LightningOptimizer, LightningOptimizer]:
         encoder_optimizer, decoder_optimizer = self.optimizers()  # type: ignore[attr-defined]
         return encoder_optimizer, decoder_optimizer
+
+
+def _with_later_settings(saved: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
+    """What a checkpoint says of its run; settings that did not exist when it was written had the values that are defaults now."""
+    defaults = {"model": asdict(ModelSettings()), "training": asdict(TrainingSettings())}
+    return saved | {group: {name: defaults[group][name] for name in asked[group]} | saved[group] for group in defaults if group in saved}

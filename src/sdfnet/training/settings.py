@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from sdfnet.errors import ConfigurationError
+from sdfnet.models.settings import ModelSettings
 from sdfnet.training.cycle import PAPER_CYCLE, Phase
 from sdfnet.training.schedules import PAPER_PLATEAUS, Plateau
 
@@ -41,6 +42,9 @@ class TrainingSettings:
     focus: float | None = None  # fraction of the diagonal D: errors are divided by 1 + |d| / (focus D); none: all count alike
     latent_weight: float = 1.0  # factor on alpha_latent of equation 8; 0 leaves the latent loss out
     validate_every: int = 1  # epochs between looks at the validation loss
+    eikonal_weight: float = 0.0  # of | |grad f| - 1 | in the loss, at every eighth point of a step, in float32 with any precision; 0 leaves it out
+    latent_norm_weight: float = 1e-4  # of the squared length of latents in the loss, with model.latents=learned only
+    seconds: float | None = None  # after which training ends, if it is not through with its epochs; linear and cosine rates fall over them; none: no limit
 
     def __post_init__(self) -> None:
         if not self.cycle or self.latent_weight < 0:
@@ -49,6 +53,18 @@ class TrainingSettings:
             raise ConfigurationError(f"training.power must be 1 or 2, found {self.power}")
         if self.focus is not None and self.focus <= 0:
             raise ConfigurationError(f"training.focus must be positive, found {self.focus}")
+        if self.seconds is not None and not self.seconds > 0:
+            raise ConfigurationError(f"training.seconds must be positive, found {self.seconds}")
+        for name in ("eikonal_weight", "latent_norm_weight"):
+            if getattr(self, name) < 0:
+                raise ConfigurationError(f"training.{name} must not be negative, found {getattr(self, name)}")
         for name in ("epochs", "validate_every"):
             if getattr(self, name) < 1:
                 raise ConfigurationError(f"training.{name} must be at least 1, found {getattr(self, name)}")
+
+    def require_trainable(self, model: ModelSettings) -> None:
+        """Raise ConfigurationError when a phase trains only an encoder that has nothing to train."""
+        if model.latents == "pod" and any(phase.trains == "encoder" for phase in self.cycle):
+            raise ConfigurationError(
+                "model.latents=pod trains no encoder, found a phase of training.cycle that trains only it; set training.cycle='[{trains: both, epochs: 1}]'"
+            )
