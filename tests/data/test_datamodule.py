@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from sdfnet.data import datamodule
-from sdfnet.data.datamodule import Batch, BatchSettings, ShapeFamily, split_frames
+from sdfnet.data.datamodule import Batch, ShapeFamily, split_frames
 from sdfnet.data.order import frames_of_step, pass_order
+from sdfnet.data.settings import BatchSettings
 from sdfnet.errors import ConfigurationError
 from sdfnet.geometry.distance import signed_distance
 from sdfnet.geometry.solids import Sphere

@@ -178,7 +178,7 @@ def _killed_while_writing(folder: str) -> None:
     def die(*arguments: object) -> None:
         os._exit(9)
 
-    sdfnet.data.store._xdmf = die  # type: ignore[assignment]  # the trajectory's arrays are written by then
+    sdfnet.data.store.xdmf = die  # type: ignore[assignment]  # the trajectory's arrays are written by then
     prepare(SMALL, Path(folder))
 
 

@@ -45,7 +45,7 @@ def test_a_mesh_comes_back_to_the_bit_and_its_medit_copy_to_rounding() -> None:
 
 def test_every_array_says_its_unit_and_every_file_its_version_and_provenance() -> None:
     write_all()
-    units = {"nodes": "m", "tets": "node index", "times": "s", "displacements": "m", "box": "m", "points": "m", "near_points": "m"}
+    units = {"nodes": "m", "tets": "node index", "times": "s", "displacements": "m", "frames": "m", "box": "m", "points": "m", "near_points": "m"}
     units |= {"distances": "m, negative inside", "near_distances": "m, negative inside", "kept": "point index"}
     for path, kind in ((TRAJECTORY, "trajectory"), (SAMPLES, "distances")):
         with h5py.File(path) as file:

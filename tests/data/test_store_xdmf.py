@@ -4,6 +4,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import h5py
+import meshio
 import numpy as np
 import pytest
 import pyvista
@@ -55,3 +56,17 @@ def test_paraviews_own_reader_finds_the_displaced_tets() -> None:
         grid = grid[0]
     assert grid.n_cells == len(trajectory.mesh.tets)
     np.testing.assert_array_equal(grid.point_data["displacement"], trajectory.displacements[2])
+
+
+def test_meshio_reads_the_series() -> None:
+    trajectory = small_trajectory()
+    store.write_trajectory(TRAJECTORY, trajectory, PROVENANCE)
+    with meshio.xdmf.TimeSeriesReader("trajectory.xdmf") as reader:
+        points, cells = reader.read_points_cells()
+        np.testing.assert_array_equal(points, trajectory.mesh.nodes)
+        np.testing.assert_array_equal(cells[0].data, trajectory.mesh.tets)
+        assert reader.num_steps == len(trajectory.times)
+        for frame, moment in enumerate(trajectory.times):
+            time, point_data, _ = reader.read_data(frame)
+            assert time == pytest.approx(moment, rel=1e-8)
+            np.testing.assert_array_equal(point_data["displacement"], trajectory.displacements[frame])

@@ -8,14 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from matplotlib.image import imread
 
 from sdfnet.data.prepare import sample_distances
 from sdfnet.data.store import DistanceSamples
 from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.evaluate import Evaluation, EvaluationSettings, evaluate, measured_frames
+from sdfnet.evaluation.figures import PANEL_PIXELS
 from sdfnet.evaluation.report import result_of, table_of, write_report
 from sdfnet.geometry.solids import Sphere
+from sdfnet.models.decoder import SdfCalculator
 from sdfnet.models.networks import Networks
+from sdfnet.models.quantise import quantised
 from sdfnet.models.settings import ModelSettings
 from sdfnet.physics.trajectory import Trajectory
 from sdfnet.scene import Sampling
@@ -44,20 +48,21 @@ def networks(trajectory: Trajectory, samples: DistanceSamples) -> Networks:
     return Networks(ModelSettings(width=8, depth=1, latent=2), surface.expand(3, -1, -1), lower, upper)
 
 
-class _BallOfKnownRadius(torch.nn.Module):
-    """Stands in for the decoder: the exact distance of a ball whose radius is the latent."""
+class _BallOfKnownRadius(SdfCalculator):
+    """The exact distance of a ball whose radius is the latent."""
 
-    parameter_count = 1
+    def encoded(self, points: torch.Tensor) -> torch.Tensor:
+        return points.norm(dim=-1, keepdim=True)
 
-    def forward(self, latents: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-        return points.norm(dim=-1)[None] - latents[:, :1]
+    def from_encoded(self, latents: torch.Tensor, encoded: torch.Tensor) -> torch.Tensor:
+        return encoded[..., 0] - latents[:, :1]
 
 
 @pytest.fixture(scope="module")
 def exact(trajectory: Trajectory, samples: DistanceSamples) -> Evaluation:
     """The evaluation of a network that knows the answer."""
     known = networks(trajectory, samples)
-    known.decoder = _BallOfKnownRadius()  # type: ignore[assignment]
+    known.decoder = _BallOfKnownRadius(known.settings, torch.zeros(3), torch.ones(3))
     known.latents = lambda shapes: shapes.norm(dim=-1).amax(dim=1, keepdim=True)  # type: ignore[method-assign]
     return evaluate(known, trajectory, samples, SETTINGS)
 
@@ -80,20 +85,55 @@ def test_frames_never_trained_on_are_measured_whatever_the_stride(trajectory: Tr
     assert sorted(evaluate(untrained, trajectory, samples, settings, unseen_frames=[1]).surface_errors["network"]) == [0, 1, 2]
 
 
+@torch.no_grad()
+@pytest.mark.parametrize("storage", ["fp16", "int8"])
+def test_networks_are_measured_and_weighed_as_they_are_stored(trajectory: Trajectory, samples: DistanceSamples, storage: str) -> None:
+    shapes = torch.from_numpy(trajectory.surface_vertices.astype(np.float32))
+    trained = Networks(ModelSettings(width=8, depth=1, latent=2), shapes, torch.full((3,), -0.1), torch.full((3,), 0.1))
+    before = {name: values.clone() for name, values in trained.state_dict().items()}
+    evaluation = evaluate(trained, trajectory, samples, replace(SETTINGS, storage=storage))
+    stored = quantised(trained, storage)
+    points = torch.from_numpy(np.concatenate([samples.points, samples.near_points]))
+    true = torch.from_numpy(np.concatenate([samples.distances[0], samples.near_distances[0]]))
+    latents = stored.latents(shapes)[:1]
+    # the same numbers, added up in other chunks
+    assert evaluation.field_errors[0].mae_mm == pytest.approx(1e3 * float((stored.decoder(latents, points)[0] - true).abs().mean()), rel=1e-5)
+    result = result_of(evaluation, trajectory, [0, 1, 2], {}, {})
+    assert (result["storage"], result["query_bytes"]) == (storage, stored.sizes(3)["query_bytes"])
+    assert f"size, stored as {storage}" in list(table_of(result).columns[0].cells)
+    assert all(torch.equal(values, before[name]) for name, values in trained.state_dict().items())
+
+
 def test_a_network_without_a_surface_is_counted_as_failed(
     trajectory: Trajectory, samples: DistanceSamples, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     blind = networks(trajectory, samples)
     torch.nn.init.constant_(blind.decoder.get_parameter("layers.0.bias"), 100.0)  # far outside everywhere
     evaluation = evaluate(blind, trajectory, samples, SETTINGS)
-    result = result_of(evaluation, blind, trajectory, [0, 1, 2], {"train": 1.0}, {"seed": 0})
+    result = result_of(evaluation, trajectory, [0, 1, 2], {"train": 1.0}, {"seed": 0})
     assert result["failed_frames"] == 3
     assert result["chamfer_l1_mm_mean"] == math.inf
-    assert "counted as failed" in caplog.text
+    assert "network: counted as failed: no surface: the network gives only positive distances (" in caplog.text
+    assert "m); train longer" in caplog.text
+    cells = list(table_of(result).columns[1].cells)
+    assert "inf" not in " ".join(map(str, cells))
+    assert cells[0] == "no surface"
     write_report(tmp_path, evaluation, result, trajectory)
     written = json.loads((tmp_path / "result.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert written["chamfer_l1_mm_mean"] is None
     assert table_of(result).row_count > 5
+    assert imread(tmp_path / "figure5_frame_002.png").shape[1] == 3 * PANEL_PIXELS[0], "the network keeps its panel"
+
+
+def test_a_network_that_is_negative_everywhere_is_told_to_train_and_not_to_enlarge_the_box(
+    trajectory: Trajectory, samples: DistanceSamples, caplog: pytest.LogCaptureFixture
+) -> None:
+    full = networks(trajectory, samples)
+    torch.nn.init.constant_(full.decoder.get_parameter("layers.0.bias"), -100.0)
+    failures = evaluate(full, trajectory, samples, SETTINGS).failures
+    assert sorted(failures) == [0, 1, 2]
+    assert "negative distances" in failures[0]
+    assert "enlarge the box" not in caplog.text
 
 
 def test_the_last_frame_is_always_measured() -> None:
@@ -104,6 +144,8 @@ def test_the_last_frame_is_always_measured() -> None:
 def test_settings_that_measure_nothing_are_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"evaluation\.every"):
         EvaluationSettings(every=0)
+    with pytest.raises(ConfigurationError, match=r"evaluation\.storage must be one of float32, fp16, int8; found 'int4'"):
+        EvaluationSettings(storage="int4")
 
 
 def test_a_mesh_frame_that_does_not_exist_is_refused() -> None:

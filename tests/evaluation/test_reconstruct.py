@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 import torch
-import trimesh
-from skimage.measure import marching_cubes
 from torch import Tensor
 
 from sdfnet.errors import ConfigurationError, ReconstructionError
-from sdfnet.evaluation.reconstruct import Grid, exact_values, surface_from_values, values_of_frames
-from sdfnet.geometry.distance import SurfaceDistance
+from sdfnet.evaluation.marching import marching_cubes
+from sdfnet.evaluation.reconstruct import Grid, surface_from_values, values_of_frames
 from sdfnet.geometry.surface import Surface
 
 RADIUS = 0.6
@@ -23,12 +21,6 @@ def box_grid(resolution: int = 40) -> Grid:
 
 def sphere_values(grid: Grid) -> Tensor:
     return (grid.points() - torch.from_numpy(CENTRE).float()).norm(dim=1).reshape(grid.shape) - RADIUS
-
-
-def two_icospheres() -> Surface:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.3)
-    vertices = np.vstack([ball.vertices + [0.0, 0.1, 0.0], ball.vertices + [0.65, -0.3, 0.2]])
-    return Surface(vertices, np.vstack([ball.faces, ball.faces + len(ball.vertices)]))
 
 
 def closed_volume(surface: Surface) -> float:
@@ -45,6 +37,11 @@ def test_grid_points_fill_the_box_in_row_order() -> None:
     assert torch.equal(points[-1, -1, -1], torch.from_numpy(grid.upper).float())
     np.testing.assert_allclose(points[1, 2, 3], [axis[index] for axis, index in zip(grid.axes, (1, 2, 3), strict=True)], rtol=1e-6)
     np.testing.assert_allclose(points[1, 1, 1] - points[0, 0, 0], grid.spacing, rtol=1e-6)
+
+
+def test_points_at_indices_are_those_of_the_whole_grid() -> None:
+    grid, indices = box_grid(7), np.array([342, 0, 50, 51])
+    assert torch.equal(grid.points_at(indices), grid.points()[indices])
 
 
 @pytest.mark.parametrize(
@@ -72,7 +69,7 @@ def test_surface_is_closed_and_faces_outward() -> None:
 def test_marching_only_the_occupied_block_changes_no_triangle() -> None:
     grid = box_grid()
     values = sphere_values(grid)
-    corners, triangles, _, _ = marching_cubes(values.numpy(), level=0.0, gradient_direction="descent")
+    corners, triangles = marching_cubes(values.numpy())
     surface = surface_from_values(values, grid)
     np.testing.assert_array_equal(surface.faces, triangles)
     # The full run holds positions in float32 up to 40 grid steps: 4e-6 steps of rounding, and the level margin moves 1e-4 of a step.
@@ -89,31 +86,11 @@ def test_values_exactly_at_the_level_still_give_a_closed_surface_without_empty_t
     assert surface.as_trimesh().area_faces.min() > 0
 
 
-@pytest.mark.parametrize("resolution", [24, 37])
-def test_exact_values_give_the_triangles_of_a_query_at_every_point(resolution: int) -> None:
-    grid = Grid(np.array([-0.5, -0.7, -0.5]), np.array([1.1, 0.6, 0.8]), resolution)
-    distance = SurfaceDistance(two_icospheres())
-    values, dense = exact_values(distance, grid), distance.signed_distance(grid.points()).reshape(grid.shape)
-    assert torch.equal(values < 0, dense < 0)
-    surface, expected = surface_from_values(values, grid), surface_from_values(dense, grid)
-    np.testing.assert_array_equal(surface.faces, expected.faces)
-    np.testing.assert_array_equal(surface.vertices, expected.vertices)
-
-
-def test_exact_values_ask_for_a_small_part_of_the_grid(monkeypatch: pytest.MonkeyPatch) -> None:
-    distance = SurfaceDistance(two_icospheres())
-    answer, asked = distance.signed_distance, []
-
-    def counted(points: Tensor) -> Tensor:
-        asked.append(len(points))
-        return answer(points)
-
-    monkeypatch.setattr(distance, "signed_distance", counted)
-    grid = Grid(np.full(3, -0.8), np.full(3, 1.2), 80)
-    exact_values(distance, grid)
-    # The shell of one cell's diagonal about two spheres of radius 12 cells: 2 x 4 pi 12^2 x 2 x 1.73 points of 80^3,
-    # 2.4 %; the coarser levels ask as much again.
-    assert sum(asked) < 0.06 * grid.resolution**3
+def test_a_value_all_but_at_the_level_keeps_its_side() -> None:
+    values = torch.ones(10, 10, 10)
+    values[4, 5, 6] = -1e-12
+    # An octahedron about that point, with corners at 1e-4 of the spacing: LEVEL_MARGIN over one metre of value.
+    assert closed_volume(surface_from_values(values, Grid(np.zeros(3), np.full(3, 9.0), 10))) == pytest.approx(4 / 3 * 1e-12, rel=0.01)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

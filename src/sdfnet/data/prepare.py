@@ -35,12 +35,13 @@ from sdfnet.data.store import (
 )
 from sdfnet.errors import ConfigurationError, GeometryError
 from sdfnet.geometry.distance import SurfaceDistance
-from sdfnet.geometry.solids import MeshedGeometry
+from sdfnet.geometry.solids import ClosedSurface, MeshedGeometry
 from sdfnet.geometry.surface import Surface
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.geometry.winding import sign_disagreements
 from sdfnet.physics.frame_checks import frame_checks
 from sdfnet.physics.plan import plan
+from sdfnet.physics.simulate import require_solid
 from sdfnet.physics.trajectory import Trajectory
 from sdfnet.scene import Dataset, Sampling, Scene
 
@@ -130,7 +131,8 @@ def _mesh_file(dataset: Dataset, folder: Path, stages: _Stages) -> Path:
 
 def _make_mesh(path: Path, geometry: MeshedGeometry) -> None:
     began = time.perf_counter()
-    logger.info("tet mesh: %s; fTetWild takes about half a minute for the bunny and cannot say how far it is", type(geometry).__name__)
+    if isinstance(geometry, ClosedSurface):
+        logger.info("tet mesh: fTetWild takes about half a minute for the bunny and cannot say how far it is")
     mesh = geometry.tet_mesh()
     write_mesh(path, mesh, {"geometry": described(geometry), "seconds": time.perf_counter() - began})
 
@@ -138,6 +140,7 @@ def _make_mesh(path: Path, geometry: MeshedGeometry) -> None:
 def _make_trajectory(path: Path, dataset: Dataset, mesh: TetMesh, report: Report) -> None:
     began = time.perf_counter()
     trajectory = run_resumably(plan(dataset.scene, mesh), path.with_name(f".{path.stem}.snapshot"), report)
+    require_solid(trajectory)
     provenance = {"scene": described(dataset.scene), "mesh": mesh.digest}
     write_trajectory(path, replace(trajectory, checks=frame_checks(trajectory)), provenance | {"seconds": time.perf_counter() - began})
 

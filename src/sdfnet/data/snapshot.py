@@ -21,7 +21,7 @@ SECONDS_BETWEEN = 60.0  # a run that is over sooner never writes one
 def run_resumably(compiled: Plan, path: Path, progress: Progress | None = None, seconds_between: float = SECONDS_BETWEEN) -> Trajectory:
     """Run a plan, going on from the snapshot at `path` if there is one, and writing one there from time to time.
 
-    `path` must belong to this plan alone; it is deleted at the end. A snapshot that cannot be read is passed over with
+    `path` is deleted at the end. A snapshot that cannot be read, or is of another plan, is passed over with
     a warning. Raises SimulationStopped as `run` does, and StoreError when a snapshot cannot be written.
     """
     written = time.monotonic()
@@ -35,7 +35,10 @@ def run_resumably(compiled: Plan, path: Path, progress: Progress | None = None, 
     resume = None
     if path.is_file():
         try:
-            resume = read_snapshot(path)
+            found = read_snapshot(path)
+            if found.fingerprint != compiled.fingerprint():
+                raise StoreError(f"'{path}' must be a snapshot of this plan, found one of another scene, mesh or step")
+            resume = found
             logger.info("simulation goes on from frame %d", resume.displacements.shape[1] - 1)
         except StoreError as error:
             logger.warning("%s; the simulation begins anew", error)
@@ -50,7 +53,7 @@ def write_snapshot(path: Path, snapshot: Snapshot) -> None:
     with new_file(path, "snapshot", {}, snapshot.displacements.nbytes) as file:
         file["displacements"] = snapshot.displacements
         file["displacement"], file["velocity"] = state.displacement.cpu().numpy(), state.velocity.cpu().numpy()
-        file.attrs["step"] = state.step
+        file.attrs["step"], file.attrs["plan"] = state.step, snapshot.fingerprint
         for group, values in (("work", state.work), ("own", state.own)):
             for name, value in values.items():
                 file[f"{group}/{name}"] = value.cpu().numpy()
@@ -64,4 +67,5 @@ def read_snapshot(path: Path) -> Snapshot:
         work, own = ({name: torch.from_numpy(values[()]) for name, values in file.get(group, {}).items()} for group in ("work", "own"))
         displacement, velocity = (torch.from_numpy(file[name][:]) for name in ("displacement", "velocity"))
         state = State(displacement, velocity, int(file.attrs["step"]), work, own)
-        return Snapshot(file["displacements"][:], state, {name: values[:] for name, values in file["watch"].items()})
+        watch = {name: values[:] for name, values in file["watch"].items()}
+        return Snapshot(file["displacements"][:], state, watch, str(file.attrs.get("plan", "")))

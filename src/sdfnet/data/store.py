@@ -18,7 +18,6 @@ from dataclasses import dataclass, fields, is_dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import h5py
 import meshio
@@ -27,12 +26,13 @@ from jaxtyping import Float32, Float64, Int32
 
 from sdfnet.data.patient_file import PatientFile
 from sdfnet.data.sampling import SamplingBox
+from sdfnet.data.xdmf import show_frame, xdmf
 from sdfnet.errors import GeometryError, StoreError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.trajectory import FrameChecks, Trajectory
 
 FORMAT_VERSION = 2  # raised when the meaning of a file changes; part of every name
-RECORDED_PACKAGES = ("sdfnet", "torch", "lightning", "pytorch_optimizer", "hydra-core", "numpy", "scikit-fem", "pytetwild", "warp-lang", "scikit-image", "h5py")
+RECORDED_PACKAGES = ("sdfnet", "torch", "lightning", "pytorch_optimizer", "hydra-core", "numpy", "scikit-fem", "pytetwild", "warp-lang", "vtk", "h5py")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +87,21 @@ def written_whole(path: Path) -> Iterator[Path]:
         unfinished.unlink(missing_ok=True)
 
 
+def write_json(path: Path, contents: Mapping[str, Any]) -> None:
+    """Write JSON in one move; what is not finite becomes null. Raises StoreError when it cannot be written."""
+    with written_whole(path) as unfinished:
+        unfinished.write_text(json.dumps(finite(contents), indent=2, allow_nan=False))
+
+
+def finite(value: Any) -> Any:
+    """A value for JSON, which has no infinity: null for each number, however deep, that is not finite."""
+    if isinstance(value, Mapping):
+        return {name: finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def remove_unfinished(path: Path) -> None:
     """Delete what a killed run left of `path` and of the files beside it. Only for who holds its lock, or a run at work loses its file."""
     for unfinished in path.parent.glob(f".*-{path.stem}.*"):
@@ -129,12 +144,14 @@ def write_trajectory(path: Path, trajectory: Trajectory, provenance: Mapping[str
         _put(file, "tets", trajectory.mesh.tets, "node index")
         _put(file, "times", trajectory.times, "s")
         _put(file, "displacements", trajectory.displacements, "m")
+        for frame in range(len(trajectory.times)):
+            show_frame(file, frame)
         file.attrs["time_step_s"] = trajectory.time_step
         file.attrs["report"], file.attrs["cases"] = json.dumps(trajectory.report), json.dumps(trajectory.cases)
         if trajectory.checks is not None:
             _put(file, "inverted_tets", trajectory.checks.inverted_tets, "tets per frame")
             _put(file, "crossing_faces", trajectory.checks.crossing_faces, "pairs of faces per frame")
-        _xdmf(path.name, trajectory).write(unfinished, xml_declaration=True, encoding="utf-8")
+        xdmf(path.name, trajectory).write(unfinished, xml_declaration=True, encoding="utf-8")
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -223,27 +240,3 @@ def _foreign_code(kind: type) -> dict[str, str]:
 
 def _put(file: h5py.File, name: str, values: Float64[np.ndarray, "..."] | np.ndarray, unit: str) -> None:
     file.create_dataset(name, data=values).attrs["unit"] = unit
-
-
-def _xdmf(file_name: str, trajectory: Trajectory) -> ElementTree.ElementTree:
-    """One grid per frame, all reading the same nodes and tets from the HDF5 file; load cases are played one after the other."""
-    frames, nodes, _ = trajectory.displacements.shape
-    root = ElementTree.Element("Xdmf", Version="3.0")
-    series = ElementTree.SubElement(ElementTree.SubElement(root, "Domain"), "Grid", Name="trajectory", GridType="Collection", CollectionType="Temporal")
-
-    def item(parent: ElementTree.Element, dimensions: str, number: str, text: str) -> None:
-        precision = {"Float": "8", "Int": "8"}[number]
-        ElementTree.SubElement(parent, "DataItem", Dimensions=dimensions, NumberType=number, Precision=precision, Format="HDF").text = text
-
-    for frame, moment in enumerate(np.arange(frames) * trajectory.times[1] if trajectory.cases else trajectory.times):
-        grid = ElementTree.SubElement(series, "Grid", Name="solid")
-        ElementTree.SubElement(grid, "Time", Value=f"{moment:.9g}")
-        tets = len(trajectory.mesh.tets)
-        item(ElementTree.SubElement(grid, "Topology", TopologyType="Tetrahedron", NumberOfElements=str(tets)), f"{tets} 4", "Int", f"{file_name}:/tets")
-        item(ElementTree.SubElement(grid, "Geometry", GeometryType="XYZ"), f"{nodes} 3", "Float", f"{file_name}:/nodes")
-        attribute = ElementTree.SubElement(grid, "Attribute", Name="displacement", AttributeType="Vector", Center="Node")
-        slab = ElementTree.SubElement(attribute, "DataItem", ItemType="HyperSlab", Dimensions=f"{nodes} 3")
-        ElementTree.SubElement(slab, "DataItem", Dimensions="3 3", Format="XML").text = f"{frame} 0 0 1 1 1 1 {nodes} 3"
-        item(slab, f"{frames} {nodes} 3", "Float", f"{file_name}:/displacements")
-    ElementTree.indent(root)
-    return ElementTree.ElementTree(root)

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import torch
@@ -16,10 +17,14 @@ from sdfnet.errors import ConfigurationError, ReconstructionError
 from sdfnet.evaluation.baselines import NearestSample, nearest_sample_bytes
 from sdfnet.evaluation.field_errors import EikonalErrors, FieldErrors, VolumeErrors, eikonal_error, field_errors, volume_errors
 from sdfnet.evaluation.metrics import NO_SURFACE, SurfaceErrors, aggregate, surface_errors
-from sdfnet.evaluation.reconstruct import Grid, exact_values, surface_from_values, values_of_frames
+from sdfnet.evaluation.reconstruct import Grid, surface_from_values
+from sdfnet.evaluation.sparse import SparseValues, exact_values
+from sdfnet.evaluation.sparse_network import SparseReconstruction
 from sdfnet.geometry.distance import SurfaceDistance
 from sdfnet.geometry.surface import Surface
 from sdfnet.models.networks import Networks
+from sdfnet.models.quantise import quantised
+from sdfnet.models.storage import STORAGES
 from sdfnet.physics.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
@@ -39,12 +44,15 @@ class EvaluationSettings:
     volume_samples: int = 1_000_000  # for the overlap of volumes, on the volume frames only
     volume_frames: int = 3  # how many frames, evenly spaced, get volume, field and eikonal errors
     mesh_frames: tuple[int, ...] = (-1,)  # frames whose meshes are written; negative ones count from the end
+    storage: str = "float32"  # what decoder and latents are rounded to before they are measured: float32 (as trained), fp16 or int8
 
     def __post_init__(self) -> None:
         if self.every < 1 or self.volume_frames < 1 or self.surface_samples < 1 or self.volume_samples < 1:
             raise ConfigurationError("evaluation.every, volume_frames, surface_samples and volume_samples must each be at least 1")
         if self.resolution < 2:
             raise ConfigurationError(f"evaluation.resolution must be at least 2, found {self.resolution}")
+        if self.storage not in STORAGES:
+            raise ConfigurationError(f"evaluation.storage must be one of {', '.join(STORAGES)}; found '{self.storage}'")
 
     def require_frames(self, count: int) -> None:
         """Raise ConfigurationError when a frame of `mesh_frames` does not exist among `count`."""
@@ -57,6 +65,7 @@ class EvaluationSettings:
 class Evaluation:
     """Errors of every method at every measured frame, and the surfaces of the frames that were asked for."""
 
+    networks: Networks  # as they were measured: rounded to the storage that was asked for
     surface_errors: dict[str, dict[int, SurfaceErrors]]  # by method, then frame
     field_errors: dict[int, FieldErrors]
     volume_errors: dict[int, VolumeErrors]
@@ -64,6 +73,7 @@ class Evaluation:
     surfaces: dict[int, dict[str, Surface]]  # by frame, then truth or method
     knn1_bytes_per_frame: int
     seconds: dict[str, float] = field(default_factory=dict)
+    failures: dict[int, str] = field(default_factory=dict)  # by frame, why the network has no surface there
 
     def summary(self, unseen_frames: list[int]) -> dict[str, float | int]:
         """Every metric over the frames: the network's by its own name, the others with `knn1_` and `floor_` before it.
@@ -98,6 +108,7 @@ def evaluate(
 
     Which frames `settings.every` says; the last and `unseen_frames`, those never trained on, are always among them. All three are
     marched on one grid over the sampling box. A network without a surface in a frame is counted as a failure there.
+    Raises TrainingError for numbers that the storage cannot hold.
     `progress(done, total)` is called after every frame.
     """
     frames, wanted = _measured_and_wanted(settings, len(trajectory.times), unseen_frames)
@@ -106,23 +117,18 @@ def evaluate(
     vertices = torch.from_numpy(trajectory.surface_vertices.astype(np.float32))
     grid = Grid(samples.box.lower, samples.box.upper, settings.resolution)
     clock = _Clock()
-    networks = networks.eval().cpu()
+    networks = quantised(networks.eval().cpu(), settings.storage)
     latents = networks.latents(vertices)[frames]
-    values = values_of_frames(lambda points: networks.decoder(latents, points), grid)
-    clock.stop("network_values")
-    nearest = NearestSample(torch.from_numpy(samples.points), grid.points())
-    clock.stop("knn1_values")
+    marched = _Marched(networks, latents, samples, grid, clock)
     truth = SurfaceDistance(trajectory.surface(0))
-    evaluation = Evaluation({method: {} for method in METHODS}, {}, {}, {}, {frame: {} for frame in wanted}, nearest_sample_bytes(samples.kept.shape[1]))
+    by_method: dict[str, dict[int, SurfaceErrors]] = {method: {} for method in METHODS}
+    evaluation = Evaluation(networks, by_method, {}, {}, {}, {frame: {} for frame in wanted}, nearest_sample_bytes(samples.kept.shape[1]))
     for place, frame in enumerate(frames):
         true = trajectory.surface(frame)
         truth.deform(true.vertices)
         clock.stop("truth")
-        fields = {"network": values[place], "knn1": _knn1_values(nearest, samples, frame, grid)}
-        clock.stop("knn1_values")
-        fields["floor"] = exact_values(truth, grid)
-        clock.stop("floor_values")
-        surfaces = {method: _surface_or_none(grid_values, grid, method, frame) for method, grid_values in fields.items()}
+        fields = marched.fields(latents[place], frame, truth)
+        surfaces = {method: _surface_or_none(found, grid, method, frame, evaluation.failures) for method, found in fields.items()}
         clock.stop("marching_cubes")
         for method, surface in surfaces.items():
             errors = NO_SURFACE if surface is None else surface_errors(surface, true, mesh.diagonal, settings.surface_samples, true_distance=truth)
@@ -131,7 +137,7 @@ def evaluate(
         if frame in wanted:
             evaluation.surfaces[frame] |= {"truth": true} | {method: surface for method, surface in surfaces.items() if surface is not None}
         if frame in volume_frames:
-            _measure_field(evaluation, networks, latents[place : place + 1], truth, samples, frame, mesh.diagonal, settings)
+            _measure_field(evaluation, latents[place], truth, samples, frame, mesh.diagonal, settings)
         clock.stop("field_and_volume_errors")
         if progress is not None:
             progress(place + 1, len(frames))
@@ -150,21 +156,28 @@ def _measured_and_wanted(settings: EvaluationSettings, count: int, unseen_frames
     return sorted({*measured_frames(count, settings.every), *unseen_frames, *wanted}), wanted
 
 
-def _knn1_values(nearest: NearestSample, samples: DistanceSamples, frame: int, grid: Grid) -> Float32[Tensor, "x y z"]:
-    return nearest.values(torch.from_numpy(samples.distances[frame]), torch.from_numpy(samples.kept[frame])).reshape(grid.shape)
-
-
-def _surface_or_none(values: Tensor, grid: Grid, method: str, frame: int) -> Surface | None:
+def _surface_or_none(found: SparseValues, grid: Grid, method: str, frame: int, failures: dict[int, str]) -> Surface | None:
     try:
-        return surface_from_values(values, grid)
+        return surface_from_values(torch.from_numpy(found.values), grid, found.start)
     except ReconstructionError as error:
-        logger.warning("frame %d, %s: counted as failed: %s", frame, method, error)
+        reason = str(error)
+        if method == "network":
+            reason = failures[frame] = _why_no_surface(found.values, reason)
+        logger.warning("frame %d, %s: counted as failed: %s", frame, method, reason)
         return None
+
+
+def _why_no_surface(values: Float32[np.ndarray, "x y z"], reason: str) -> str:
+    """In words for who trains a network: no box would help one that has not learned yet."""
+    if not np.isfinite(values).all():
+        return reason
+    lowest, highest = float(values.min()), float(values.max())
+    gives = "only positive distances" if lowest >= 0 else "only negative distances" if highest < 0 else "negative distances out to the sides of the box"
+    return f"no surface: the network gives {gives} ({lowest:.3g} to {highest:.3g} m); train longer"
 
 
 def _measure_field(
     evaluation: Evaluation,
-    networks: Networks,
     latent: Tensor,
     truth: SurfaceDistance,
     samples: DistanceSamples,
@@ -172,21 +185,16 @@ def _measure_field(
     diagonal: float,
     settings: EvaluationSettings,
 ) -> None:
-    def predicted(points: Tensor) -> Tensor:
-        return networks.decoder(latent, points)[0]
-
-    def chunked(points: Tensor) -> Tensor:
-        return torch.cat([predicted(chunk) for chunk in points.split(16_384)])
-
+    decoder = evaluation.networks.decoder
+    predicted = partial(decoder.distances, latent)
     points = torch.from_numpy(np.concatenate([samples.points, samples.near_points]))
     true = torch.from_numpy(np.concatenate([samples.distances[frame], samples.near_distances[frame]]))
-    with torch.no_grad():
-        evaluation.field_errors[frame] = field_errors(chunked(points), true, diagonal)
-        evaluation.volume_errors[frame] = volume_errors(
-            lambda asked: chunked(asked) < 0, lambda asked: truth.signed_distance(asked) < 0, samples.box.lower, samples.box.upper, settings.volume_samples
-        )
+    evaluation.field_errors[frame] = field_errors(predicted(points), true, diagonal)
+    evaluation.volume_errors[frame] = volume_errors(
+        lambda asked: predicted(asked) < 0, lambda asked: truth.signed_distance(asked) < 0, samples.box.lower, samples.box.upper, settings.volume_samples
+    )
     chosen = torch.from_numpy(np.random.default_rng(0).integers(0, len(points), EIKONAL_POINTS))
-    evaluation.eikonal_errors[frame] = eikonal_error(predicted, points[chosen])
+    evaluation.eikonal_errors[frame] = eikonal_error(lambda asked: decoder(latent[None], asked)[0], points[chosen])
 
 
 class _Clock:
@@ -200,3 +208,25 @@ class _Clock:
         now = time.perf_counter()
         self.seconds[name] = self.seconds.get(name, 0.0) + now - self._last
         self._last = now
+
+
+class _Marched:
+    """What is marched on one grid, by method, frame after frame."""
+
+    def __init__(self, networks: Networks, latents: Tensor, samples: DistanceSamples, grid: Grid, clock: _Clock) -> None:
+        self._samples, self._grid, self._clock = samples, grid, clock
+        self._network = SparseReconstruction.measured(networks.decoder, grid, latents)
+        clock.stop("network_values")
+        self._nearest = NearestSample(torch.from_numpy(samples.points), grid.points())
+        clock.stop("knn1_values")
+
+    def fields(self, latent: Tensor, frame: int, truth: SurfaceDistance) -> dict[str, SparseValues]:
+        """The values of a frame; KNN-1's on the whole grid, for it jumps from sample to sample and no cell may be left out."""
+        fields = {"network": self._network.values(latent)}
+        self._clock.stop("network_values")
+        nearest = self._nearest.values(torch.from_numpy(self._samples.distances[frame]), torch.from_numpy(self._samples.kept[frame]))
+        fields["knn1"] = SparseValues(nearest.reshape(self._grid.shape).numpy(), (0, 0, 0), len(nearest))
+        self._clock.stop("knn1_values")
+        fields["floor"] = exact_values(truth, self._grid)
+        self._clock.stop("floor_values")
+        return fields

@@ -1,6 +1,5 @@
 """An evaluation as a table for the screen, `result.json`, meshes and a picture."""
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,15 +8,16 @@ from typing import Any
 import torch
 from rich.table import Table
 
-from sdfnet.data.store import versions, written_whole
+from sdfnet.data.store import versions, write_json, written_whole
 from sdfnet.evaluation.evaluate import METHODS, PREFIX, Evaluation
 from sdfnet.evaluation.figures import Panel, figure5
 from sdfnet.evaluation.metrics import vertex_errors
 from sdfnet.geometry.distance import SurfaceDistance
-from sdfnet.models.networks import Networks
 from sdfnet.physics.trajectory import Trajectory
 
 TITLES = {"network": "network", "knn1": "KNN-1", "floor": "floor (exact SDF)"}
+NOTHING = "no surface"
+SHOWN_ERROR_MM = 1.0  # where the scale of the pictures ends
 ROWS = (
     ("chamfer_l1_mm", "chamfer L1 (mm)", 3),
     ("accuracy_mm", "accuracy, network to truth (mm)", 3),
@@ -40,16 +40,15 @@ NETWORK_ROWS = (  # mean over the volume frames; only a network has a field to a
 )
 
 
-def result_of(
-    evaluation: Evaluation, networks: Networks, trajectory: Trajectory, train_frames: list[int], seconds: Mapping[str, float], run: Mapping[str, Any]
-) -> dict[str, Any]:
+def result_of(evaluation: Evaluation, trajectory: Trajectory, train_frames: list[int], seconds: Mapping[str, float], run: Mapping[str, Any]) -> dict[str, Any]:
     """Everything that a run found, flat, every unit in its name. `seconds` are added as `<stage>_seconds`, `run` as it is."""
     frames = len(trajectory.times)
     unseen = sorted(set(range(frames)) - set(train_frames))
     return {
         **run,
         **evaluation.summary(unseen),
-        **networks.sizes(frames),
+        **evaluation.networks.sizes(frames),
+        "storage": evaluation.networks.storage,
         "knn1_bytes": evaluation.knn1_bytes_per_frame * frames,
         "diagonal_mm": trajectory.mesh.diagonal * 1e3,
         **{f"{stage.replace(' ', '_')}_seconds": value for stage, value in seconds.items()},
@@ -67,44 +66,42 @@ def table_of(result: Mapping[str, Any]) -> Table:
     for method in METHODS:
         table.add_column(TITLES[method], justify="right")
     for metric, title, digits in ROWS:
-        cells = []
-        for method in METHODS:
-            name = PREFIX[method] + metric
-            cells.append(f"{result[f'{name}_mean']:.{digits}f} / {result[f'{name}_worst']:.{digits}f}")
-        table.add_row(title, *cells)
-    in_diagonals = [f"{1e3 * result[PREFIX[method] + 'chamfer_l1_mm_mean'] / result['diagonal_mm']:.3f}" for method in METHODS]
-    table.add_row("chamfer L1 (1e-3 D)", *in_diagonals)
+        table.add_row(title, *[_cell(result, PREFIX[method], metric, digits) for method in METHODS])
+    in_diagonals = [1e3 * result[PREFIX[method] + "chamfer_l1_mm_mean"] / result["diagonal_mm"] for method in METHODS]
+    table.add_row("chamfer L1 (1e-3 D)", *[f"{value:.3f}" if math.isfinite(value) else NOTHING for value in in_diagonals])
     for metric, title, digits in NETWORK_ROWS:
         table.add_row(title, f"{result[metric]:.{digits}f}", "", "")
     if "unseen_frames" in result:
-        names = [PREFIX[method] + "chamfer_l1_mm" for method in METHODS]
-        cells = [f"{result[f'unseen_{name}_mean']:.3f} / {result[f'unseen_{name}_worst']:.3f}" for name in names]
+        cells = [_cell(result, f"unseen_{PREFIX[method]}", "chamfer_l1_mm", 3) for method in METHODS]
         table.add_row(f"chamfer L1, {result['unseen_frames']:.0f} frames never trained on (mm)", *cells)
     table.add_row("failed frames", *[f"{result[PREFIX[method] + 'failed_frames']:.0f}" for method in METHODS])
-    table.add_row("size", f"{result['query_bytes'] / 1e3:.1f} kB", f"{result['knn1_bytes'] / 1e6:.0f} MB", "the meshes")
+    table.add_row(f"size, stored as {result['storage']}", f"{result['query_bytes'] / 1e3:.1f} kB", f"{result['knn1_bytes'] / 1e6:.0f} MB", "the meshes")
     table.add_row("parameters, decoder + encoder", f"{result['decoder_parameters']:,} + {result['encoder_parameters']:,}", "", "")
     return table
 
 
+def _cell(result: Mapping[str, Any], prefix: str, metric: str, digits: int) -> str:
+    """Mean and worst; without a surface in every frame a mean says nothing."""
+    if result[f"{prefix}failed_frames"]:
+        return NOTHING
+    return f"{result[f'{prefix}{metric}_mean']:.{digits}f} / {result[f'{prefix}{metric}_worst']:.{digits}f}"
+
+
 def write_report(folder: Path, evaluation: Evaluation, result: Mapping[str, Any], trajectory: Trajectory) -> None:
     """Write `result.json`, and for each frame asked for its meshes as .ply and a picture like the paper's Figure 5."""
-    with written_whole(folder / "result.json") as unfinished:
-        unfinished.write_text(json.dumps(_plain(result), indent=2))
+    write_json(folder / "result.json", result)
     for frame, surfaces in evaluation.surfaces.items():
         for name, surface in surfaces.items():
             with written_whole(folder / "meshes" / f"frame_{frame:03d}_{name}.ply") as unfinished:
                 surface.as_trimesh().export(unfinished, file_type="ply")
         truth = SurfaceDistance(trajectory.surface(frame))
         panels = [Panel(surfaces["truth"], None, "truth", f"frame {frame} of {len(trajectory.times) - 1}")]
+        if frame in evaluation.failures:
+            panels.append(Panel(None, None, TITLES["network"], evaluation.failures[frame]))
         for method in ("network", "knn1"):
             if method in surfaces:
                 errors = evaluation.surface_errors[method][frame]
                 size = f"{result['query_bytes'] / 1e3:.0f} kB" if method == "network" else f"{result['knn1_bytes'] / 1e6:.0f} MB"
                 caption = f"{errors.chamfer_l1_mm:.2f} mm mean error, {size} for all frames"
                 panels.append(Panel(surfaces[method], vertex_errors(surfaces[method], truth), TITLES[method], caption))
-        figure5(panels, folder / f"figure5_frame_{frame:03d}.png", maximum_mm=1.0)
-
-
-def _plain(result: Mapping[str, Any]) -> dict[str, Any]:
-    """JSON has no infinity: what is not finite becomes null."""
-    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in result.items()}
+        figure5(panels, folder / f"figure5_frame_{frame:03d}.png", maximum_mm=SHOWN_ERROR_MM)

@@ -1,0 +1,30 @@
+"""Vertices of a marched surface, moved to where the field itself is zero and not its interpolation along the grid's edges."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from sdfnet.errors import ConfigurationError
+from sdfnet.geometry.surface import Surface
+
+
+def refined_surface(surface: Surface, field: Callable[[Float32[Tensor, "points 3"]], Float32[Tensor, " points"]], longest: float, steps: int) -> Surface:
+    """Newton steps x - f(x) g / |g|^2 along the gradient g of the field, for every vertex x, none longer than `longest` (m); the faces stay.
+
+    `longest` bounds what a step can do where the gradient nearly vanishes; half a cell of the grid keeps a triangle
+    from turning over. A vertex whose gradient is zero stays. Raises ConfigurationError when there are fewer than no steps.
+    """
+    if steps < 0:
+        raise ConfigurationError(f"refine_steps must be at least 0, found {steps}")
+    vertices = torch.from_numpy(surface.vertices)
+    for _ in range(steps):
+        points = vertices.float().requires_grad_()
+        with torch.enable_grad():
+            values = field(points)
+            (gradients,) = torch.autograd.grad(values.sum(), points)
+        step = -values.detach()[:, None] * gradients / gradients.square().sum(dim=1, keepdim=True).clamp_min(torch.finfo(torch.float32).tiny)
+        too_long = (step.norm(dim=1, keepdim=True) / longest).clamp_min(1.0)
+        vertices = vertices + (step / too_long).double()
+    return Surface(vertices.numpy(), surface.faces)
