@@ -13,10 +13,10 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -116,8 +116,7 @@ def frozen(config: DictConfig) -> Any:
 
     Raises ConfigurationError when a value that must be given is missing.
     """
-    missing = OmegaConf.missing_keys(config)
-    if missing:
+    if missing := OmegaConf.missing_keys(config):
         raise ConfigurationError(f"these settings have no value yet: {', '.join(sorted(missing))}; give each on the command line")
     return _object(config)
 
@@ -186,7 +185,10 @@ def _entry_point_modules(group: str, what: str) -> list[ModuleType]:
 
 
 def _made_by(function: DatasetFunction, origin: Path) -> Dataset:
-    made = function()
+    try:
+        made = function()
+    except Exception as error:
+        raise ConfigurationError(f"dataset '{function.__name__}' in '{origin}' failed: {type(error).__name__}: {error}; mend it or move it out") from error
     if not isinstance(made, Dataset):
         raise ConfigurationError(f"dataset '{function.__name__}' in '{origin}' must return a Dataset, found {type(made).__name__}")
     return made
@@ -214,7 +216,10 @@ def _object(node: Any) -> Any:
         kind = OmegaConf.get_type(node)
         if kind is Scene:
             _require_effects(node, values)
-        return kind(**values) if kind is not None and is_dataclass(kind) else values
+        if kind is None or not is_dataclass(kind):
+            return values
+        _require_fields(node, kind, values)
+        return kind(**values)
     if isinstance(node, ListConfig):
         return tuple(_object(item) for item in node)
     return node
@@ -222,7 +227,23 @@ def _object(node: Any) -> Any:
 
 def _require_effects(scene: DictConfig, values: dict[str, Any]) -> None:
     for group in ("effects", "load_cases"):
-        for name, value in values[group].items():
-            if not isinstance(value, Effect):
-                place = scene[group]._get_full_key(name)
-                raise ConfigurationError(f"{place} must be an effect, found {value!r}; add one by its kind, such as +effect@{place}=gravity")
+        for name in (name for name, value in values[group].items() if not isinstance(value, Effect)):
+            place, found = scene[group]._get_full_key(name), values[group][name]
+            raise ConfigurationError(f"{place} must be an effect, found {found!r}; add one by its kind, such as +effect@{place}=gravity")
+
+
+def _require_fields(node: DictConfig, kind: type, values: dict[str, Any]) -> None:
+    """What OmegaConf lets pass: a name added with + that is no field, and a tuple of the wrong length."""
+    known, hints = [entry.name for entry in fields(kind)], get_type_hints(kind)
+    for name, value in values.items():
+        place, length = node._get_full_key(name), _tuple_length(hints.get(name))
+        if name not in known:
+            raise ConfigurationError(f"{place} must be a setting, found none of that name; known here: {', '.join(known)}")
+        if isinstance(value, tuple) and length not in (None, len(value)):
+            raise ConfigurationError(f"{place} must have {length} values, found {len(value)}: {list(value)}")
+
+
+def _tuple_length(hint: Any) -> int | None:
+    """How many values a field holds that is a tuple of fixed length, or none; None where any number may stand."""
+    kinds = next((get_args(choice) for choice in (hint, *get_args(hint)) if get_origin(choice) is tuple), (Ellipsis,))
+    return None if Ellipsis in kinds else len(kinds)

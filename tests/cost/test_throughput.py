@@ -1,13 +1,12 @@
-"""The cost command on the smallest scene."""
+"""The plain loop that training is timed beside."""
 
-import json
 from pathlib import Path
 
-import pytest
 import torch
 
 from sdfnet.cost.throughput import _PlainNetworks
-from sdfnet.data.datamodule import BatchSettings, ShapeFamily
+from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.data.settings import BatchSettings
 from sdfnet.models.decoder import OUTPUT_UNIT
 from sdfnet.models.networks import Networks
 from sdfnet.models.settings import ModelSettings
@@ -30,22 +29,3 @@ def test_the_plain_loop_trains_the_same_network(tmp_path: Path) -> None:
     points = torch.from_numpy(family.samples.points[:50])
     ours = networks(family.shapes[3:4], points) / (OUTPUT_UNIT * decoder.half_side)
     assert torch.allclose(plain(family.shapes[3:4], points), ours, atol=1e-6)
-
-
-@pytest.mark.filterwarnings("ignore:.*does not have many workers.*", "ignore:.*LeafSpec.*")
-def test_the_cost_command_writes_both_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
-    from hydra.core.global_hydra import GlobalHydra
-
-    from sdfnet.cli import entry
-
-    GlobalHydra.instance().clear()
-    monkeypatch.setattr(
-        sys, "argv", ["cost.py", "dataset=sphere_squeeze", "duration=2e-4", "model=small", "batch.steps_per_epoch=5", "batch.frames_per_step=8"]
-    )
-    entry.cost()
-    found = json.loads(next(tmp_path.rglob("cost.json")).read_text())
-    assert found["throughput"]["sdfnet"] > 0
-    assert found["throughput"]["plain"] > 0
-    assert {row["mass"] for row in found["step"]["rows"]} == {"lumped", "consistent"}

@@ -10,7 +10,8 @@ import torch
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback
 
-from sdfnet.data.datamodule import BatchSettings, ShapeFamily
+from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.data.settings import BatchSettings
 from sdfnet.geometry.solids import Sphere
 from sdfnet.models.settings import ModelSettings
 from sdfnet.physics.effects.pressure_poke import PressurePoke

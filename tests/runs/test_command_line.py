@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -15,7 +16,10 @@ import trimesh
 from hydra.core.global_hydra import GlobalHydra
 
 import sdfnet.cli
+from sdfnet.errors import TrainingError
+from sdfnet.models.networks import RECORD
 from sdfnet.plugins import shipped
+from sdfnet.training.module import SdfTraining
 
 SMALL = ["dataset=sphere_squeeze", "dataset.scene.geometry.cells=3", "dataset.scene.effects.left.radius=0.03", "dataset.scene.effects.right.radius=0.03"]
 SMALL += ["dataset.scene.recording.frames=3", "dataset.sampling.count=500", "dataset.sampling.near_surface_count=200", "data_folder=data"]
@@ -26,8 +30,6 @@ Command = Callable[..., Outcome]
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Command]:
     """Runs a command in this process, as its script does."""
-    monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
-    monkeypatch.setattr("hydra._internal.utils.is_under_debugger", lambda: False)  # Hydra takes coverage's tracing for a debugger's
 
     def run(name: str, *arguments: str) -> Outcome:
         monkeypatch.setattr(sys, "argv", [f"{name}.py", *arguments])
@@ -91,7 +93,7 @@ def test_an_unknown_dataset_lists_the_known_ones(command: Command) -> None:
         ("prepare", "dataset.smpling.count=2", "sampling"),
         ("train", "model.widht=64", "width"),
         ("train", "trainig.epochs=1", "training"),
-        ("cost", "mesure=step", "measure"),
+        ("cost", "studes=[distances]", "studies"),
         ("evaluate", "chekpoint=a.ckpt", "checkpoint"),
     ],
 )
@@ -126,7 +128,7 @@ def test_a_wrong_type_is_named_without_a_guess_at_another_key(command: Command, 
         ("prepare", "dataset.scene.geometry.cells=0", "geometry.cells must be at least 1 along every axis"),
         ("prepare", "dataset.scene.effects.left.center=[9,9,9]", "move poke.center there"),
         ("train", "split=none", "split must be one of all, interpolation, extrapolation; found 'none'"),
-        ("cost", "measure=everything", "measure must be one of all, step, throughput; found 'everything'"),
+        ("cost", "studies=[everything]", "studies must be one of simulation_time, simulation_space, distances, "),
     ],
 )
 def test_a_value_that_cannot_be_is_refused_in_the_settings_own_words(command: Command, name: str, override: str, message: str) -> None:
@@ -139,6 +141,83 @@ def test_a_value_that_cannot_be_is_refused_in_the_settings_own_words(command: Co
 
 def test_an_override_without_a_value_is_explained(command: Command) -> None:
     _refusal(command("prepare", "dataset"), "Error parsing override 'dataset'", "missing EQUAL")
+
+
+def test_an_absurd_load_is_refused_before_distances_are_measured(command: Command) -> None:
+    outcome = command("prepare", *SMALL, "dataset.scene.effects.left.pressure=1e9")
+    assert outcome[0] == 1
+    assert re.search(r"Weaken the loads, which are \d\S* of Young's modulus, or shorten recording\.duration", outcome[2])
+    assert not list(Path("data").glob("*.h5"))
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "message"),
+    [
+        ("prepare", ["dataset.scene.effects.left.center=[0,0]"], "dataset.scene.effects.left.center must have 3 values, found 2: [0.0, 0.0]"),
+        ("prepare", ["+dataset.scene.foo=1"], "dataset.scene.foo must be a setting, found none of that name; known here: geometry, effects"),
+        ("train", ["+foo=1"], "foo must be a setting, found none of that name; known here: dataset, model"),
+        ("train", ["seed=-1"], "seed must lie in [0, 4294967295], found -1"),
+        ("prepare", ["data_folder=/proc/nope"], "data_folder must be a folder that can be made, found '/proc/nope'"),
+        ("prepare", ["hydra.run.dir=/proc/nope"], "hydra.run.dir must be a folder that can be made, found '/proc/nope'"),
+        ("train", ["--experiment", "smoke"], "a setting is given without dashes and with =, found '--experiment'; say experiment=smoke"),
+        ("train", ["--model.width=8"], "say model.width=8"),
+        ("train", ["--sweep", "min_size"], "say sweep=min_size"),
+        ("train", ["--strategy=latent_loss"], "say strategy=latent_loss"),
+        ("train", ["target.objectives=[chamfer_l1_mm]", "seed=0,1", "-m"], "found 'chamfer_l1_mm'\nDid you mean 'chamfer_l1_mm_"),
+        (
+            "train",
+            ["hydra.sweep.dir=run-${hydra.job.num}", "seed=0,1", "-m"],
+            "hydra.sweep.dir must be one folder for all jobs, found one that is not known yet",
+        ),
+        ("train", ["resume=nope", "batch.frames_per_step=2"], "no checkpoint at 'nope'; give resume=outputs/"),
+        ("train", ["resume="], "resume must name a checkpoint, found nothing behind it; say resume=outputs/"),
+        ("train", ["model=learned", "split=interpolation"], "model.latents=learned needs split=all, found split=interpolation"),
+        ("train", ["evaluation.storage=int4"], "evaluation.storage must be one of float32, fp16, int8; found 'int4'\nDid you mean 'int8'?"),
+        ("prepare", ["dataset.sampling.seed=-1"], "sampling.seed must not be negative, found -1"),
+    ],
+)
+def test_a_mistake_is_answered_with_its_cure_and_leaves_no_folder(command: Command, name: str, words: list[str], message: str) -> None:
+    outcome = command(name, *SMALL, *words)
+    _refusal(outcome, message)
+    assert not list(Path().rglob(".hydra"))
+
+
+@pytest.mark.parametrize(
+    ("name", "override", "nearest"),
+    [
+        ("prepare", "dataset=bunny_pok", "bunny_poke"),
+        ("prepare", "dataset.scene.solver.integrator=leapfrg", "leapfrog"),
+        ("train", "experiment=smok", "smoke"),
+        ("train", "model.encoding=fourer", "fourier"),
+        ("train", "split=interpolate", "interpolation"),
+        ("verify", "case=cantilver", "cantilever"),
+    ],
+)
+def test_a_wrong_choice_is_answered_with_the_nearest(command: Command, name: str, override: str, nearest: str) -> None:
+    outcome = command(name, override, *(["data_folder=data"] if name != "verify" else []))
+    _refusal(outcome, f"Did you mean '{nearest}'?")
+
+
+def test_a_dataset_that_fails_is_named_with_its_file(command: Command) -> None:
+    Path("datasets").mkdir()
+    Path("datasets/mine.py").write_text("from sdfnet.plugins import dataset\n\n\n@dataset\ndef mine():\n    return 1 / 0\n")
+    _refusal(command("prepare", *SMALL), "dataset 'mine' in '", "datasets/mine.py' failed: ZeroDivisionError: division by zero; mend it or move it out")
+
+
+@pytest.mark.parametrize(
+    ("name", "shown", "hidden"),
+    [
+        ("prepare", ["dataset: beam_bend, bunny_poke, sphere_squeeze", "effects.NAME: body_force", "plan_only: false"], ["experiment", "model:", "optimizer"]),
+        ("cost", ["model: dense_grid, hash_grid, learned, modulated, paper", "studies:"], ["experiment"]),
+        ("evaluate", ["checkpoint: ???", "resolution: 100"], ["experiment", "model:", "dataset", "What can be chosen"]),
+        ("verify", ["case: all"], ["experiment", "model:", "dataset", "What can be chosen"]),
+    ],
+)
+def test_help_lists_what_the_command_reads_and_nothing_else(command: Command, name: str, shown: list[str], hidden: list[str]) -> None:
+    code, out, _ = command(name, "--help")
+    assert code == 0
+    assert [word for word in shown if word not in out] == []
+    assert [word for word in hidden if word in out] == []
 
 
 def test_a_missing_mesh_is_named(command: Command) -> None:
@@ -183,10 +262,15 @@ def test_a_checkpoint_that_is_missing_or_no_checkpoint_is_named(command: Command
     assert "Traceback" not in out + err
     assert "nowhere.ckpt" in err
     Path("letter.ckpt").write_text("dear friend")
-    code, out, err = command("evaluate", "checkpoint=letter.ckpt")
-    assert code == 1
-    assert "Traceback" not in out + err
-    assert "letter.ckpt" in err
+    torch.save({"a": 1}, "weights.ckpt")
+    torch.save({"settings": Path("x")}, "object.ckpt")
+    for name in ("letter", "weights", "object"):
+        code, out, err = command("evaluate", f"checkpoint={name}.ckpt")
+        assert code == 1
+        assert "Traceback" not in out + err
+        assert f"'{name}.ckpt' is " in err
+        assert "expected one written by train.py" in err
+        assert "weights_only" not in err  # PyTorch's advice to run the file's code
 
 
 def test_a_checkpoint_of_arrays_at_hand_is_not_measured_on_files(command: Command) -> None:
@@ -217,6 +301,43 @@ def test_a_sweep_over_a_glob_of_datasets_reaches_hydra(command: Command) -> None
     code, out, err = command("prepare", "dataset=glob(s*)", "plan_only=true", "data_folder=data", "-m")
     assert (code, err) == (0, "")
     assert "#0 : dataset=sphere_squeeze" in out
+
+
+@pytest.mark.parametrize("option", ["--help", "--cfg=job", "--info=config"])
+def test_an_option_that_only_shows_something_starts_no_sweep(command: Command, option: str) -> None:
+    code, out, _ = command("train", "sweep=min_size", option)
+    assert code == 0
+    assert "no job of the sweep" not in out
+    assert not Path("outputs/sweep").exists()
+
+
+def test_a_run_of_a_sweeps_page_goes_on_alone(command: Command) -> None:
+    settings = Path("job/.hydra")
+    settings.mkdir(parents=True)
+    (settings / "overrides.yaml").write_text("[sweep=min_size, model.width=8, seed=1]")
+    code, out, err = command("train", *SMALL, "batch.frames_per_step=2", "batch.stride=2", "resume=job/checkpoints/latest.ckpt")
+    assert code == 1
+    assert "taken from the run in job: sweep=min_size model.width=8 seed=1 hydra.mode=RUN" in out
+    assert "no checkpoint at 'job/checkpoints/latest.ckpt'" in err  # of the one training that was asked for
+    assert not Path("outputs/sweep").exists()
+
+
+def test_a_checkpoint_from_before_a_setting_existed_is_not_refused_for_it(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    records: list[dict[str, Any]] = []
+    resumable = SdfTraining.require_resumable
+
+    def remember(module: SdfTraining, record: dict[str, Any]) -> None:
+        records.append(module.identity())
+        resumable(module, record)
+        raise TrainingError("resumable")
+
+    monkeypatch.setattr(SdfTraining, "require_resumable", remember)
+    torch.save({RECORD: {}}, "empty.ckpt")
+    assert "the checkpoint differs from this run in model" in command("train", *SMALL, "batch.frames_per_step=2", "batch.stride=2", "resume=empty.ckpt")[2]
+    for name, value, verdict in (("grid_levels", None, "resumable"), ("width", 7, "model.width (7 there, ")):
+        model = {key: known for key, known in records[0]["model"].items() if key != name} | ({} if value is None else {name: value})
+        torch.save({RECORD: {**records[0], "model": model}}, "older.ckpt")
+        assert verdict in command("train", *SMALL, "batch.frames_per_step=2", "batch.stride=2", "resume=older.ckpt")[2]
 
 
 def test_a_mistake_in_a_sweep_is_explained_before_the_first_job(command: Command) -> None:

@@ -47,6 +47,13 @@ def test_a_run_leaves_what_the_readme_promises_and_evaluating_its_checkpoint_fin
     again = json.loads((newest_result("evaluate") / "result.json").read_text())
     assert again["chamfer_l1_mm_mean"] == pytest.approx(result["chamfer_l1_mm_mean"], rel=1e-6)
 
+    command("evaluate", f"checkpoint={folder}/checkpoints/last.ckpt", "evaluation.storage=int8")
+    small = json.loads((newest_result("evaluate") / "result.json").read_text())
+    assert (result["storage"], small["storage"]) == ("float32", "int8")
+    assert small["query_bytes"] < 0.4 * result["query_bytes"], "a quarter, and scales, biases and frequencies"
+    assert small["chamfer_l1_mm_mean"] != result["chamfer_l1_mm_mean"]
+    assert small["chamfer_l1_mm_mean"] < 2 * result["chamfer_l1_mm_mean"]
+
     command("train", *SMOKE, "training.epochs=1", "split=interpolation", "evaluation.every=2")
     assert "nothing to prepare" in (newest_result("train") / "train.log").read_text()
     split = json.loads((newest_result("train") / "result.json").read_text())
@@ -62,16 +69,10 @@ def _check_board(folder: Path) -> None:
     expected = {"loss/train_mean", "loss/train_max", "loss/validation_mean", "loss/validation_max", "rate/encoder", "rate/decoder", "phase/encoder_trains"}
     expected |= {"latent/cosine_first_to_last", "latent/cosine_to_first_by_frame", "final/chamfer_l1_mm_mean"}
     assert expected - set(board.Tags()["scalars"]) == set()
-    assert any(tag.startswith("surface/network") for tag in board.Tags()["tensors"])
+    parts = {f"{name}/surface_{part}" for name in ("truth", "network", "knn1", "floor") for part in ("VERTEX", "FACE", "COLOR")}
+    assert parts - set(board.Tags()["tensors"]) == set()
     losses = [event.value for event in board.Scalars("loss/train_mean")]
     assert losses[-1] < 0.5 * losses[0], "the loss falls"
-
-
-def test_a_sweep_leaves_one_folder_a_job(command: Callable[..., None]) -> None:
-    command("train", *SMOKE, "training.epochs=1", "model.width=8,16", "-m")
-    results = sorted(Path("outputs/sweep").rglob("result.json"))
-    widths = [json.loads(path.read_text())["settings"]["model"]["width"] for path in results]
-    assert sorted(widths) == [8, 16]
 
 
 @pytest.mark.slow

@@ -1,12 +1,17 @@
 """A stopped run that is resumed ends where an uninterrupted one does, bit for bit on the CPU."""
 
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from lightning import LightningModule, Trainer
+from lightning.pytorch.callbacks import Callback
 
+from sdfnet.stopping import SIGNALS
+from sdfnet.stopping import Stopped as RunStopped
 from sdfnet.training.checkpoints import TimedCheckpoint
 from sdfnet.training.cycle import phase_at
 from tests.runs.resumable_run import EPOCHS, LIGHTNING_ADVICE, PAPER, TURNS, Journal, Outcome, Recipe, RequireSameEnd, Run, Stopped
@@ -61,6 +66,34 @@ def test_a_run_stopped_twice_resumes_bit_equal(recipe: Recipe, whole: Outcome, r
     run(recipe, tmp_path, resume=whole.checkpoints / "step-1-1.ckpt")
     for name in ("step-1-2", "epoch-1", "step-4-0", "epoch-4"):
         same_end(run(recipe, resume=tmp_path / f"{name}.ckpt"), whole, f"{name} of a resumed run")
+
+
+class Signal(Callback):
+    """Sends this process a signal in the middle of a step."""
+
+    def __init__(self, number: int, epoch: int, step: int) -> None:
+        self.number, self.at = number, (epoch, step)
+
+    def on_after_backward(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if (trainer.current_epoch, trainer.fit_loop.epoch_loop.batch_idx) == self.at:
+            os.kill(os.getpid(), self.number)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_run_told_to_stop_in_a_step_finishes_it_and_resumes_bit_equal(
+    recipe: Recipe, whole: Outcome, run: Run, tmp_path: Path, same_end: RequireSameEnd, number: int, code: int
+) -> None:
+    last = len(whole.steps) // EPOCHS - 1
+    for epoch, step in ((0, 0), (1, last)):  # long before its time; and in an epoch's last step, where a validation is still to come
+        handlers = [signal.getsignal(one) for one in SIGNALS]
+        latest = tmp_path / f"{epoch}-{step}.ckpt"
+        with pytest.raises(RunStopped) as stopped:
+            run(recipe, more=(TimedCheckpoint(latest, seconds=1e9), Signal(number, epoch, step)))
+        assert stopped.value.exit_code == code
+        assert [signal.getsignal(one) for one in SIGNALS] == handlers
+        resumed = run(recipe, resume=latest)
+        assert resumed.steps[0] == whole.steps[whole.steps.index((epoch, step)) + 1]
+        same_end(resumed, whole, f"the stop in step {step} of epoch {epoch}")
 
 
 class EveryTimedCheckpoint(TimedCheckpoint):

@@ -1,8 +1,9 @@
 """From the command line to a command: Hydra composes the settings, and a user's mistake becomes one clear message."""
 
-import difflib
 import importlib
 import logging
+import shlex
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,15 +13,17 @@ import hydra
 from hydra._internal.utils import get_args_parser
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, ValueType
-from hydra.errors import CompactHydraException, HydraException
-from omegaconf import DictConfig
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from hydra.errors import CompactHydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
 
+from sdfnet.cli.earlier_run import take_over, typed
+from sdfnet.cli.mistakes import check_overrides, check_words, with_nearest
 from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings, VerifySettings
-from sdfnet.errors import ConfigurationError, SdfnetError
+from sdfnet.errors import SdfnetError
 from sdfnet.plugins import find_datasets, find_effects, frozen, register_datasets, register_effects, shipped, writable
+from sdfnet.stopping import Stopped, signals_handled
 
 Command = Callable[[Any, Path], float | None]
 
@@ -31,7 +34,7 @@ SCHEMAS: dict[str, type] = {
     "cost": CostSettings,
     "verify": VerifySettings,
 }
-HOMES = {"verify": "sdfnet.cli.verification"}  # where a command's function is; the others are in commands.py
+HOMES = {"verify": "sdfnet.cli.verification", "cost": "sdfnet.cli.costs"}  # where a command's function is; the others are in commands.py
 
 
 def train() -> None:
@@ -59,64 +62,92 @@ def verify() -> None:
     _main("verify")
 
 
-def register() -> None:
-    """Put the schemas, all datasets and all effects into Hydra's config store. Raises ConfigurationError for a broken plugin."""
-    for name, schema in SCHEMAS.items():
-        ConfigStore.instance().store(name=f"{name}_schema", node=writable(schema), provider="sdfnet")
+def register(*commands: str) -> None:
+    """Put the schemas of these commands, all datasets and all effects into Hydra's config store. Raises ConfigurationError for a broken plugin."""
+    # Hydra copies the whole store for every group that it looks at, though it only reads it: --help took seconds longer.
+    ConfigStore.__deepcopy__ = lambda store, memo: store  # type: ignore[attr-defined]
+    for command in commands:
+        ConfigStore.instance().store(name=f"{command}_schema", node=writable(SCHEMAS[command]), provider="sdfnet")
     register_datasets(find_datasets())
     register_effects(find_effects())
+    OmegaConf.register_new_resolver("known", _known, replace=True)  # for the pages that --help shows
+
+
+def _known(group: str) -> str:
+    """The names of a group: of files in conf/, and of plugins."""
+    files = (path.stem for path in (shipped("conf") / group).glob("*.yaml"))
+    return ", ".join(sorted({*files, *(name.removesuffix(".yaml") for name in ConfigStore.instance().repo.get(group, {}))}))
 
 
 def _main(name: str) -> None:
-    def job(config: DictConfig) -> float | None:
-        home = importlib.import_module(HOMES.get(name, "sdfnet.cli.commands"))  # late: composing and its errors do not wait for Lightning
-        for chatty in ("skfem", "lightning.pytorch"):
-            logging.getLogger(chatty).setLevel(logging.WARNING)
-        command: Command = getattr(home, name)
+    asked, is_sweep = sys.argv[1:], False
+
+    def job(config: DictConfig) -> float | tuple[float, ...] | None:
+        output = Path(HydraConfig.get().runtime.output_dir)
         try:
-            return command(frozen(config), Path(HydraConfig.get().runtime.output_dir))
+            home = importlib.import_module(HOMES.get(name, "sdfnet.cli.commands"))  # late: composing and its errors do not wait for Lightning
+            for chatty in ("skfem", "lightning.pytorch"):
+                logging.getLogger(chatty).setLevel(logging.WARNING)
+            if name == "train" and HydraConfig.get().mode is RunMode.MULTIRUN:
+                return importlib.import_module("sdfnet.cli.sweep").run_job(config)
+            command: Command = getattr(home, name)
+            return command(frozen(config), output)
         except SdfnetError as error:
-            raise CompactHydraException(str(error)) from error  # Hydra prints it bare; HYDRA_FULL_ERROR=1 shows where it rose
+            _remove_if_empty(output, name)
+            raise CompactHydraException(with_nearest(str(error))) from error  # Hydra prints it bare; HYDRA_FULL_ERROR=1 shows where it rose
+        except Stopped as stopped:
+            cure = _how_to_go_on(name, output, asked)
+            _remove_if_empty(output, name)
+            _say_stopped(name, cure)
+            sys.exit(stopped.exit_code)
 
     try:
-        register()
-        overrides = get_args_parser().parse_known_args(sys.argv[1:])[0].overrides
-        check_overrides(name, overrides)
-    except SdfnetError as error:
-        sys.exit(f"{name}: {error}")
-    hydra.main(config_path=str(shipped("conf")), config_name=name, version_base="1.3")(job)()
+        with signals_handled():
+            try:
+                check_words(SCHEMAS[name], sys.argv[1:])
+                register(name)
+                take_over(name)
+                composed = check_overrides(name, typed())
+                start = hydra.main(config_path=str(shipped("conf")), config_name=name, version_base="1.3")(job)
+                is_sweep = name == "train" and _asks_for_sweep(composed)
+                if is_sweep:
+                    importlib.import_module("sdfnet.cli.sweep").sweep(start, composed)
+                else:
+                    start()
+            except SdfnetError as error:
+                sys.exit(f"{name}: {with_nearest(str(error))}")
+    except Stopped as stopped:  # before there was a run, or while a launcher's processes ran the jobs of a sweep
+        if is_sweep:
+            _say_stopped(name, _same_again(name, asked))
+        sys.exit(stopped.exit_code)
 
 
-def check_overrides(name: str, overrides: list[str]) -> None:
-    """Compose once before Hydra does, so that a mistake can be answered with the nearest name. Raises ConfigurationError."""
-    try:
-        first_of_sweeps = [line for override in OverridesParser.create().parse_overrides(overrides) for line in _first_of_sweep(override)]
-        with hydra.initialize_config_dir(str(shipped("conf").resolve()), version_base="1.3"):
-            hydra.compose(name, first_of_sweeps)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigurationError(_explained(error)) from error
+def _asks_for_sweep(composed: DictConfig) -> bool:
+    """Whether jobs are to be run, many of them: an option that only shows something runs none."""
+    options = get_args_parser().parse_known_args(sys.argv[1:])[0]
+    only_shows = options.help or options.hydra_help or options.shell_completion or options.cfg is not None or options.info is not None
+    return not only_shows and (options.multirun or composed.hydra.mode is RunMode.MULTIRUN)
 
 
-def _first_of_sweep(override: Override) -> list[str]:
-    """An override with the first of its values; none for a glob or an interval, which only Hydra can turn into values."""
-    line = str(override.input_line)
-    if not override.is_sweep_override():
-        return [line]
-    if not override.is_discrete_sweep() or override.value_type is ValueType.GLOB_CHOICE_SWEEP:
-        return []
-    return [f"{line.split('=', 1)[0]}={next(override.sweep_string_iterator())}"]
+def _say_stopped(name: str, cure: str) -> None:
+    Console(stderr=True, highlight=False, soft_wrap=True).print(f"{name}: stopped; {cure}", markup=False)
 
 
-def _explained(error: Exception) -> str:
-    """The error's own words, and for an unknown key the names that would have been known there."""
-    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
-    message = str(error).strip()
-    if cause is not error and str(cause).splitlines()[0] not in message:
-        message += "\n" + str(cause).splitlines()[0]
-    parent, key = getattr(cause, "parent_node", None), getattr(cause, "key", None)
-    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and isinstance(parent, DictConfig) and isinstance(key, str):
-        known = [str(one) for one in parent]
-        nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-        message += f"\nDid you mean '{nearest[0]}'? " if nearest else "\n"
-        message += f"Known here: {', '.join(known)}"
-    return message
+def _how_to_go_on(name: str, output: Path, asked: list[str]) -> str:
+    """The command that continues a run that was stopped; `asked` is what was typed for it."""
+    for checkpoint in ("last.ckpt", "latest.ckpt"):
+        if (output / "checkpoints" / checkpoint).is_file():
+            return f"go on with: python train.py resume={output / 'checkpoints' / checkpoint}"
+    return _same_again(name, asked)
+
+
+def _same_again(name: str, asked: list[str]) -> str:
+    kept = "what was finished is kept, and the same command goes on from there" if name in ("train", "prepare") else "the same command begins anew"
+    return f"{kept}: {shlex.join(['python', f'{name}.py', *asked])}"
+
+
+def _remove_if_empty(output: Path, name: str) -> None:
+    """Take a run's folder away when nothing but Hydra has written to it."""
+    ours = [path for path in output.rglob("*") if path.is_file() and path.parent.name != ".hydra" and path.name != f"{name}.log"]
+    if not ours and output.resolve() != Path.cwd():
+        shutil.rmtree(output)

@@ -1,12 +1,15 @@
 """What each command can be told: one tree of settings per command, against which Hydra checks every key and type."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import torch
 from omegaconf import MISSING
 
-from sdfnet.data.datamodule import SPLITS, BatchSettings
+from sdfnet.cost.sweep_table import Target
+from sdfnet.data.settings import SPLITS, BatchSettings
+from sdfnet.data.store import key_of
 from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.evaluate import EvaluationSettings
 from sdfnet.models.settings import ModelSettings
@@ -14,6 +17,17 @@ from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 from sdfnet.verification import CASES
 
 ALL_CASES = "all"
+PRECISIONS = ("bf16-mixed", "32-true")
+STUDIES = (
+    "simulation_time",
+    "simulation_space",
+    "distances",
+    "training",
+    "network",
+    "queries",
+    "reconstruction",
+    "throughput",
+)  # of cost.py, in the order of the flow
 
 
 @dataclass(frozen=True)
@@ -27,7 +41,7 @@ class TrainerSettings:
     progress_bar: bool = True
 
     def __post_init__(self) -> None:
-        for name, allowed in (("accelerator", ("auto", "cpu", "cuda")), ("precision", ("bf16-mixed", "32-true"))):
+        for name, allowed in (("accelerator", ("auto", "cpu", "cuda")), ("precision", PRECISIONS)):
             if getattr(self, name) not in allowed:
                 raise ConfigurationError(f"trainer.{name} must be one of {', '.join(allowed)}; found '{getattr(self, name)}'")
         if self.accelerator == "cuda" and not torch.cuda.is_available():
@@ -56,14 +70,29 @@ class TrainSettings:
     training: TrainingSettings = field(default_factory=TrainingSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
+    target: Target = field(default_factory=Target)
     seed: int = 0
     split: str = "all"
     resume: str | None = None
     data_folder: str = "outputs/data"
 
     def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**32:  # what NumPy takes
+            raise ConfigurationError(f"seed must lie in [0, {2**32 - 1}], found {self.seed}")
         if self.split not in SPLITS:
             raise ConfigurationError(f"split must be one of {', '.join(SPLITS)}; found '{self.split}'")
+        if self.model.latents == "learned" and self.split != "all":
+            raise ConfigurationError(
+                f"model.latents=learned needs split=all, found split={self.split}: a frame that is not trained on would have no latent; "
+                "set split=all, or model.latents=encoder or pod"
+            )
+        if self.resume == "":
+            raise ConfigurationError("resume must name a checkpoint, found nothing behind it; say resume=outputs/.../checkpoints/latest.ckpt, or leave it out")
+
+    @property
+    def key(self) -> str:
+        """The hash of everything that a result depends on: the same wherever, on however many threads and however often it is run."""
+        return key_of(replace(self, resume=None, data_folder="", target=Target(), trainer=TrainerSettings(precision=self.trainer.precision)))
 
 
 @dataclass(frozen=True)
@@ -80,18 +109,35 @@ class CostSettings:
     """python cost.py"""
 
     dataset: Any = MISSING  # a Dataset; the plugin's node brings its own types
+    dataset_name: str = MISSING  # what the report is headed with
     model: ModelSettings = field(default_factory=ModelSettings)
     batch: BatchSettings = field(default_factory=BatchSettings)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     training: TrainingSettings = field(default_factory=TrainingSettings)
-    precision: str = "bf16-mixed"  # of the training that is timed: bf16-mixed or 32-true
-    measure: str = "all"  # all, step or throughput
-    duration: float | None = None  # s of the scene that the step study runs; none: all of it
+    precision: str = "bf16-mixed"  # of trainings: bf16-mixed or 32-true
+    studies: tuple[str, ...] = STUDIES
+    quick: bool = False  # fewer points of each study
+    checkpoint: str | None = None  # the network that is asked and reconstructed; none: the default that the training study makes
+    sweep_folder: str | None = None  # the folder of a sweep whose networks enter the network study; none: those of the training study alone
+    wanted_mm: tuple[float, ...] = (1.0, 0.3, 0.1)  # accuracies for which the cheapest time step, distances and training are named
     data_folder: str = "outputs/data"
 
     def __post_init__(self) -> None:
-        if self.measure not in ("all", "step", "throughput"):
-            raise ConfigurationError(f"measure must be one of all, step, throughput; found '{self.measure}'")
+        unknown = [name for name in self.studies if name not in STUDIES]
+        if unknown or not self.studies:
+            raise ConfigurationError(f"studies must be one of {', '.join(STUDIES)}; found '{unknown[0] if unknown else ''}'")
+        if self.sweep_folder is not None and not Path(self.sweep_folder).is_dir():
+            raise ConfigurationError(f"sweep_folder must be there, found nothing at '{self.sweep_folder}'; give the folder that the sweep printed")
+        if self.checkpoint is not None and not Path(self.checkpoint).is_file():
+            found = "a folder" if Path(self.checkpoint).is_dir() else "nothing"
+            raise ConfigurationError(f"checkpoint must be a file, found {found} at '{self.checkpoint}'; give checkpoint=outputs/.../checkpoints/last.ckpt")
+        needing = [name for name in ("queries", "reconstruction") if name in self.studies]
+        if needing and self.checkpoint is None and "training" not in self.studies:
+            raise ConfigurationError(f"studies={needing[0]} needs a network, found none; add training to studies, or give checkpoint=...")
+        if self.precision not in PRECISIONS:
+            raise ConfigurationError(f"precision must be one of {', '.join(PRECISIONS)}; found '{self.precision}'")
+        if any(not wanted > 0 for wanted in self.wanted_mm):
+            raise ConfigurationError(f"wanted_mm must be positive, found {self.wanted_mm}")
 
 
 @dataclass(frozen=True)

@@ -1,24 +1,20 @@
 """python verify.py: the table of reference cases."""
 
 import csv
-import json
-import logging
 import math
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import torch
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from sdfnet.cli.muted import muted
 from sdfnet.cli.settings import ALL_CASES, VerifySettings
-from sdfnet.data.store import versions, written_whole
+from sdfnet.data.store import finite, versions, write_json, written_whole
 from sdfnet.errors import PhysicsError, SdfnetError
 from sdfnet.verification import CASES, Row, rows_of
 
@@ -31,7 +27,7 @@ def verify(settings: VerifySettings, output: Path) -> None:
     names = list(CASES) if settings.case == ALL_CASES else [settings.case]
     rows: list[Row] = []
     seconds: dict[str, float] = {}
-    with Progress(transient=True) as bars, _quiet():
+    with Progress(transient=True) as bars, muted("sdfnet.physics"):  # scenes are locked, free or at rest on purpose
         task = bars.add_task("reference cases", total=len(names))
         for name in names:
             began = time.perf_counter()
@@ -91,27 +87,9 @@ def _number(value: float, unit: str) -> str:
 
 def _write(output: Path, rows: list[Row], seconds: dict[str, float]) -> None:
     """verification.json and verification.csv: a record for each row; what is not finite is null in the one and empty in the other."""
-    records = [{name: _plain(value) for name, value in asdict(row).items()} | {"passes": row.passes} for row in rows]
-    with written_whole(output / "verification.json") as unfinished:
-        unfinished.write_text(json.dumps({"rows": records, "seconds": seconds, "versions": versions()}, indent=2, allow_nan=False))
+    records = [finite(asdict(row)) | {"passes": row.passes} for row in rows]
+    write_json(output / "verification.json", {"rows": records, "seconds": seconds, "versions": versions()})
     with written_whole(output / "verification.csv") as unfinished, unfinished.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(records[0]))
         writer.writeheader()
         writer.writerows(records)
-
-
-def _plain(value: Any) -> Any:
-    """JSON has no infinity: what is not finite becomes null."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Without the warnings of scenes that are locked, free or at rest on purpose."""
-    physics = logging.getLogger("sdfnet.physics")
-    before = physics.level
-    physics.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        physics.setLevel(before)

@@ -15,12 +15,17 @@ from torch import Tensor, nn
 from torch.optim import Adam
 from torch.utils.data import DataLoader, Dataset
 
-from sdfnet.data.datamodule import BatchSettings, ShapeFamily
+from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.data.settings import BatchSettings
 from sdfnet.data.store import read_distances, read_trajectory
+from sdfnet.models.latents import latent_source_of
 from sdfnet.models.mlp import mlp
 from sdfnet.models.networks import Networks
 from sdfnet.models.settings import ModelSettings
+from sdfnet.training.fitting import fit_quietly
 from sdfnet.training.losses import sdf_loss
+from sdfnet.training.module import SdfTraining
+from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 
 ROUNDS = 5  # each a stretch of sdfnet's training, then plain steps; the first round warms both up and is not counted
 PLAIN_STEPS = 5  # of the plain loop a round, of which the median is taken: its first ones still meet sdfnet's threads spinning down
@@ -45,6 +50,13 @@ class Throughput:
             f"sdfnet as train.py runs it, Lightning included{self.sdfnet / 1e6:36.3f} million pairs/s",
             f"ratio {self.ratio:.1f}",
         ]
+
+
+def measured_throughput(family: ShapeFamily, model: ModelSettings, training: TrainingSettings, optimizer: OptimizerSettings, precision: str) -> Throughput:
+    """Both speeds, measured in turns, on the prepared files of `family`."""
+    rounds = InterleavedRounds(family, model)
+    fit_quietly(SdfTraining(family, model, training, optimizer), family, ROUNDS, precision, [rounds])
+    return rounds.result()
 
 
 class InterleavedRounds(Callback):
@@ -131,7 +143,7 @@ class _PlainNetworks(nn.Module):
     def __init__(self, family: ShapeFamily, networks: Networks) -> None:
         super().__init__()
         settings = networks.settings
-        self.encoder = type(networks.encoder)(family.shapes, settings.encoder_widths, settings.latent)
+        self.encoder = latent_source_of(settings, family.shapes)
         self.encoding: Any = networks.decoder.encoding
         self.centre, self.half_side = networks.decoder.centre, networks.decoder.half_side
         self.layers = mlp([settings.latent + self.encoding.features, *settings.decoder_widths, 1], settings.activation)

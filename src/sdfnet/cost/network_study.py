@@ -1,0 +1,230 @@
+"""The networks of trained runs beside other ways to keep the same shapes: error against bytes, time of a query and time of a frame."""
+
+import logging
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import cycle
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from sdfnet.cost.field_baselines import GridField, NearestSampleField, NetworkField, ShapeModel, marched_on_whole_grid, marched_where_it_may_be
+from sdfnet.cost.shape_baselines import DeformedMesh, KeptFrames, PodMotion
+from sdfnet.cost.studies import Point, Study, Timing, interleaved
+from sdfnet.cost.sweep_table import Job, Row, Target, rows_of
+from sdfnet.data.store import DistanceSamples
+from sdfnet.errors import ConfigurationError, ReconstructionError, SdfnetError
+from sdfnet.evaluation.metrics import SurfaceErrors, aggregate, surface_errors
+from sdfnet.evaluation.reconstruct import Grid
+from sdfnet.geometry.distance import SurfaceDistance
+from sdfnet.models.networks import RECORD, Networks, load_networks, read_checkpoint
+from sdfnet.models.quantise import quantised
+from sdfnet.physics.trajectory import Trajectory
+
+logger = logging.getLogger(__name__)
+
+ERRORS = {"mean": "mean over frames", "worst": "worst frame"}  # over the measured frames
+ALL_SAMPLES = 0  # stands for every sample that a frame keeps in a series of KNN-1
+BY_MEAN = Target(chamfer_l1_mm=1.0, frames="mean")  # rows take the seed in the middle by a target's frames; whether it is reached is not asked about here
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is measured. The defaults are the whole of it: minutes on the bunny and two cores."""
+
+    every: int = 3  # frames measured; should share no divisor with the strides: interpolation would be asked only where it is exact, or only where not
+    resolution: int = 100  # of the grid that is marched, along each axis
+    surface_samples: int = 16_384  # on each of two surfaces that are compared: the mean error is known to about 1 %
+    queries: int = 100_000  # asked after a change of frame
+    repeats: int = 3
+    modes: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64)
+    strides: tuple[int, ...] = (2, 5, 10, 20, 50, 100)
+    grid_points: tuple[int, ...] = (3, 4, 6, 8, 12, 16, 24)  # along each axis
+    nearest_samples: tuple[int, ...] = (4, 32, 256, 2048, ALL_SAMPLES)
+
+
+QUICK = Effort(every=11, surface_samples=4096, queries=20_000, repeats=1, modes=(1, 8), strides=(20, 5), grid_points=(8, 16), nearest_samples=(256,))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way to keep the shapes that is to be measured."""
+
+    method: str
+    setting: str
+    make: Callable[[], ShapeModel]  # may raise SdfnetError: the reason why it cannot be measured
+    errors_mm: tuple[float, float] | None = None  # mean and worst frame, where a run has measured them already
+    is_default: bool = False
+    overrides: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class MeasuredShape:
+    """One way to keep the shapes, with chamfer_l1 (mm) over the frames and what it costs, or why it could not be measured."""
+
+    candidate: Candidate
+    bytes: int | None = None  # for all frames
+    mean_mm: float | None = None
+    worst_mm: float | None = None
+    query: Timing | None = None  # of one of many queries after a change of frame, which is included
+    frame: Timing | None = None  # of the surface of another frame
+    failure: str | None = None
+
+    def point(self, error: str, seconds: Timing | None) -> Point:
+        """The point of a diagram, with the mean or the worst error."""
+        error_mm = self.mean_mm if error == "mean" else self.worst_mm
+        chosen = self.candidate
+        return Point(
+            chosen.method, chosen.setting, error_mm, seconds, bytes=self.bytes, is_default=chosen.is_default, overrides=chosen.overrides, failure=self.failure
+        )
+
+
+def studies_of(shapes: Sequence[MeasuredShape], error: str = "mean") -> tuple[Study, Study]:
+    """Error against the time of a query, and against the time of a frame; `error` is the mean over the frames or the worst one.
+
+    Raises ConfigurationError for another error.
+    """
+    if error not in ERRORS:
+        raise ConfigurationError(f"the error of a network study must be one of {', '.join(ERRORS)}; found '{error}'")
+    label = f"chamfer L1, {ERRORS[error]} (mm)"
+    queries = Study(
+        "network_query", "network", "Answering a query", label, "one of many queries, change of frame included (s)",
+        tuple(shape.point(error, shape.query) for shape in shapes),
+    )  # fmt: skip
+    frames = Study(
+        "network_frame", "network", "Reconstructing a frame", label, "the surface of one frame (s)", tuple(shape.point(error, shape.frame) for shape in shapes)
+    )
+    return queries, frames
+
+
+def bytes_study(shapes: Sequence[MeasuredShape], error: str = "mean") -> Study:
+    """Error against the bytes that must be kept to answer for every frame; `error` as in `studies_of`."""
+    points = tuple(shape.point(error, None) for shape in shapes)
+    label = f"chamfer L1, {ERRORS[error]} (mm)"
+    return Study(f"network_bytes_{error}", "network", f"Keeping the shapes, {ERRORS[error]}", label, "to answer for every frame (bytes)", points)
+
+
+def trained_candidate(networks: Networks, point: Point, trajectory: Trajectory, grid: Grid) -> Candidate:
+    """A network at hand, named by the point of the study that trained it."""
+
+    def make() -> ShapeModel:
+        return marched_where_it_may_be(NetworkField(networks, trajectory.surface_vertices), grid)
+
+    setting = f"{networks.decoder.parameter_count:,} parameters, {point.setting}"
+    return Candidate("network", setting, make, None, point.is_default, point.overrides)
+
+
+def network_candidates(jobs: Sequence[Job], trajectory: Trajectory, grid: Grid, files: Mapping[str, str]) -> list[Candidate]:
+    """A network for each setting of finished jobs, with the median errors of its seeds over all frames of their runs.
+
+    The seed whose mean error is the middle one is asked and reconstructed, stored as its run stored it. The setting
+    without overrides is the default. `files` are those of the shapes at hand, as `networks_trained_on` wants them.
+    """
+    finished = [job for job in jobs if job.result is not None]
+    return [_network_candidate(row, finished, trajectory, grid, files) for row in rows_of(finished, BY_MEAN)]
+
+
+def networks_trained_on(files: Mapping[str, str], checkpoint: Path) -> Networks:
+    """The networks of a checkpoint. Raises TrainingError, and ConfigurationError when they were trained on other prepared files."""
+    record = read_checkpoint(checkpoint)[RECORD]
+    found = {name: record.get(name) for name in files}
+    if found != files:
+        raise ConfigurationError(
+            f"'{checkpoint}' must have been trained on the dataset that is studied, {', '.join(files.values())}, found {', '.join(map(str, found.values()))}; "
+            "choose the dataset and the sampling that it was trained on, or another checkpoint"
+        )
+    return load_networks(checkpoint)
+
+
+def baseline_candidates(trajectory: Trajectory, samples: DistanceSamples, grid: Grid, effort: Effort) -> list[Candidate]:
+    """Every other way, at the sizes of `effort`; what has more modes or samples than there are is left out."""
+    vertices, faces, box, kept = trajectory.surface_vertices, trajectory.mesh.surface_faces, samples.box, samples.kept.shape[1]
+
+    def pod(modes: int) -> ShapeModel:
+        return DeformedMesh(PodMotion.of(vertices, modes), faces)
+
+    def interpolated(stride: int) -> ShapeModel:
+        return DeformedMesh(KeptFrames.of(vertices, stride), faces)
+
+    def stored(points: int) -> ShapeModel:
+        return marched_on_whole_grid(GridField.of(trajectory, Grid(box.lower, box.upper, points)), grid)
+
+    def nearest(count: int) -> ShapeModel:
+        return marched_on_whole_grid(NearestSampleField(samples, count or kept), grid)
+
+    return [
+        *[Candidate("POD, exact query", f"{modes} modes", partial(pod, modes)) for modes in effort.modes if modes <= len(vertices)],
+        *[Candidate("kept frames, exact query", f"every {stride}", partial(interpolated, stride)) for stride in effort.strides],
+        *[Candidate("grid of distances", f"{points}^3", partial(stored, points)) for points in effort.grid_points],
+        *[Candidate("KNN-1", f"{count or kept:,} samples", partial(nearest, count)) for count in effort.nearest_samples if count <= kept],
+    ]
+
+
+def measured_shapes(candidates: Sequence[Candidate], trajectory: Trajectory, samples: DistanceSamples, effort: Effort) -> list[MeasuredShape]:
+    """Errors, bytes and times of every candidate. What cannot be made, or has a frame without a surface, keeps its place with the reason."""
+    frames = inner_frames(len(trajectory.times), effort.every)
+    truth = SurfaceDistance(trajectory.surface(0))
+    made: dict[int, ShapeModel] = {}
+    found: list[MeasuredShape] = []
+    for place, candidate in enumerate(candidates):
+        try:
+            model = candidate.make()
+            errors = candidate.errors_mm or _errors(model, trajectory, frames, truth, effort.surface_samples)
+        except SdfnetError as error:
+            logger.info("%s, %s: %s", candidate.method, candidate.setting, error)
+            found.append(MeasuredShape(candidate, failure=str(error)))
+            continue
+        made[place] = model
+        found.append(MeasuredShape(candidate, model.bytes, *errors))
+    points = torch.from_numpy(samples.points[:: max(1, len(samples.points) // effort.queries)])
+    query = interleaved({str(place): partial(_ask, model, cycle(frames), points) for place, model in made.items()}, effort.repeats)
+    frame = interleaved({str(place): partial(_reconstruct, model, cycle(frames)) for place, model in made.items()}, effort.repeats)
+    return [
+        replace(shape, query=query[str(place)].divided_by(len(points)), frame=frame[str(place)]) if place in made else shape
+        for place, shape in enumerate(found)
+    ]
+
+
+def inner_frames(count: int, every: int) -> list[int]:
+    """Every `every`-th frame, or each where that would be fewer than four; not the first and the last, in which kept frames are always exact."""
+    every = every if count > 4 * every else 1
+    return list(range(max(1, every // 2), count - 1, every)) or [count - 1]
+
+
+def _network_candidate(row: Row, jobs: Sequence[Job], trajectory: Trajectory, grid: Grid, files: Mapping[str, str]) -> Candidate:
+    middle = next(job for job in jobs if job.overrides == row.overrides)
+
+    def make() -> ShapeModel:
+        result = middle.result or {}
+        if not math.isfinite(row.chamfer_l1_mm_worst):
+            raise ReconstructionError(f"no surface in {result['failed_frames']} of {result['frames']} frames; train it longer, or a larger one")
+        storage = result.get("storage", "float32")  # of a run from before there was a choice
+        networks = quantised(networks_trained_on(files, middle.folder / "checkpoints" / "last.ckpt"), storage)
+        return marched_where_it_may_be(NetworkField(networks, trajectory.surface_vertices), grid)
+
+    low, high = row.chamfer_l1_mm_mean_range
+    seeds = f", median of {row.seeds} seeds (mean {low:.3g} to {high:.3g} mm)" if row.seeds > 1 else ""
+    errors = (row.chamfer_l1_mm_mean, row.chamfer_l1_mm_worst)
+    return Candidate("network", f"{row.decoder_parameters:,} parameters{seeds}", make, errors, not row.setting, row.setting)
+
+
+def _errors(model: ShapeModel, trajectory: Trajectory, frames: Sequence[int], truth: SurfaceDistance, samples: int) -> tuple[float, float]:
+    """chamfer_l1 (mm): mean over the frames and worst frame. Raises ReconstructionError where a frame has no surface."""
+    errors: dict[int, SurfaceErrors] = {}
+    for frame in frames:
+        true, predicted = trajectory.surface(frame), model.surface(frame)
+        truth.deform(true.vertices)
+        errors[frame] = surface_errors(predicted, true, trajectory.mesh.diagonal, samples, true_distance=truth)
+    summary = aggregate(errors)
+    return summary["chamfer_l1_mm_mean"], summary["chamfer_l1_mm_worst"]
+
+
+def _ask(model: ShapeModel, frames: Iterator[int], points: Tensor) -> None:
+    model.distances(next(frames), points)
+
+
+def _reconstruct(model: ShapeModel, frames: Iterator[int]) -> None:
+    model.surface(next(frames))

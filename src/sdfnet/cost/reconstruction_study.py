@@ -1,0 +1,69 @@
+"""What accuracy costs in reconstruction: grids from coarse to fine, the whole grid beside the sparse way."""
+
+from functools import partial
+
+import torch
+
+from sdfnet.cost.studies import Point, Study, interleaved
+from sdfnet.data.store import DistanceSamples
+from sdfnet.errors import SdfnetError
+from sdfnet.evaluation.metrics import surface_errors
+from sdfnet.evaluation.reconstruct import Grid, surface_from_values, values_of_frames
+from sdfnet.evaluation.sparse import exact_values
+from sdfnet.evaluation.sparse_network import SparseReconstruction
+from sdfnet.geometry.distance import SurfaceDistance
+from sdfnet.geometry.surface import Surface
+from sdfnet.models.networks import Networks
+from sdfnet.physics.trajectory import Trajectory
+
+RESOLUTIONS, QUICK_RESOLUTIONS = (32, 48, 64, 100, 144, 200, 256), (32, 64, 100)
+DEFAULT_RESOLUTION = 100  # of evaluation.resolution, the paper's
+LARGEST_WHOLE_GRID = 144  # points along each axis: beyond it the whole grid takes seconds and says nothing new
+SURFACE_SAMPLES = 65_536  # on each of two surfaces that are compared
+REPEATS = 5
+
+
+def reconstruction_study(networks: Networks, trajectory: Trajectory, samples: DistanceSamples, quick: bool = False) -> Study:
+    """Seconds of the network and marching cubes for one frame, against the error of the grid itself.
+
+    The error is chamfer_l1 of the surface that marching cubes finds in the EXACT distance of the last frame: what the
+    resolution costs whatever the network. The sparse way is timed as every frame after the first is, with what does not
+    depend on the frame at hand.
+    """
+    last = len(trajectory.times) - 1
+    true = trajectory.surface(last)
+    truth = SurfaceDistance(true)
+    latents = networks.latents(torch.from_numpy(trajectory.surface_vertices).float())
+    points: list[Point] = []
+    for resolution in QUICK_RESOLUTIONS if quick else RESOLUTIONS:
+        grid = Grid(samples.box.lower, samples.box.upper, resolution)
+        overrides = (f"evaluation.resolution={resolution}",)
+        try:
+            exact = exact_values(truth, grid)
+            floor = surface_from_values(torch.from_numpy(exact.values), grid, exact.start)
+            error = surface_errors(floor, true, trajectory.mesh.diagonal, SURFACE_SAMPLES, true_distance=truth).chamfer_l1_mm
+            points += _timed(networks, latents, grid, error, overrides)
+        except SdfnetError as failure:
+            points.append(Point("sparse", f"{resolution}^3", overrides=overrides, failure=str(failure)))
+    title, error_label = "What reconstruction costs", "chamfer L1 of marching cubes on the exact distance, last frame (mm)"
+    return Study("reconstruction", "reconstruction", title, error_label, "network and marching cubes for one frame (s)", tuple(points))
+
+
+def _timed(networks: Networks, latents: torch.Tensor, grid: Grid, error: float, overrides: tuple[str, ...]) -> list[Point]:
+    sparse = SparseReconstruction.measured(networks.decoder, grid, latents)
+    ways = {"sparse": partial(sparse.surface, latents[-1])}
+    counts = {"sparse": sparse.values(latents[-1]).asked, "whole grid": grid.resolution**3}
+    if grid.resolution <= LARGEST_WHOLE_GRID:
+        ways["whole grid"] = partial(_whole, networks, latents[-1:], grid)
+    timings = interleaved(ways, REPEATS)
+    return [
+        Point(
+            way, f"{grid.resolution}^3", error, timings[way], {"network queries": counts[way]},
+            is_default=way == "sparse" and grid.resolution == DEFAULT_RESOLUTION, overrides=overrides,
+        )
+        for way in ways
+    ]  # fmt: skip
+
+
+def _whole(networks: Networks, latent: torch.Tensor, grid: Grid) -> Surface:
+    return surface_from_values(values_of_frames(lambda points: networks.decoder(latent, points), grid)[0], grid)

@@ -1,0 +1,183 @@
+"""The studies as one page that opens offline, as a table, as pictures and as a short text."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as graph
+from jinja2 import Environment, PackageLoader, select_autoescape
+from markupsafe import Markup
+from matplotlib.figure import Figure
+from plotly.offline import get_plotlyjs
+
+from sdfnet.cost.findings import findings_of, front_of, knee_of
+from sdfnet.cost.studies import Point, Study, Timing, duration_text
+from sdfnet.data.store import written_whole
+
+COLOURS = ("#0b6e99", "#d1495b", "#2a9d5c", "#edae49", "#6a4c93", "#8d6b4f", "#00a6a6", "#9a9a9a", "#c06c84", "#3d5a80")
+COLUMNS = (
+    "study",
+    "stage",
+    "method",
+    "setting",
+    "error_mm",
+    "seconds",
+    "seconds_p5",
+    "seconds_p95",
+    "repeats",
+    "bytes",
+    "counts",
+    "is_default",
+    "is_reference",
+    "overrides",
+    "failure",
+)
+
+
+def write_report(folder: Path, title: str, subtitle: str, studies: Sequence[Study], summary: Sequence[str], made_with: Mapping[str, Any]) -> None:
+    """Write `report.html`, `points.csv`, `findings.txt` and a picture for each study.
+
+    `summary` are sentences for the top of the page, `made_with` names what it was measured with (versions, threads, load).
+    """
+    pages = Environment(loader=PackageLoader("sdfnet.cost", ""), autoescape=select_autoescape(default=True), trim_blocks=True)
+    shown = [
+        {"name": study.name, "title": study.title, "findings": findings_of(study), "points": [_cells(point) for point in study.points]} for study in studies
+    ]
+    figures = ",".join(f'"{study.name}": {_figure(study).to_json()}' for study in studies)
+    html = pages.get_template("page.html.j2").render(
+        title=title,
+        subtitle=subtitle,
+        summary=summary,
+        studies=shown,
+        made_with=made_with,
+        plotly=Markup(get_plotlyjs()),  # noqa: S704  plotly's own code, not a user's text
+        figures=Markup("{" + figures.replace("</", "<\\/") + "}"),  # noqa: S704  JSON, its only way out of a script closed
+    )
+    with written_whole(folder / "report.html") as unfinished:
+        unfinished.write_text(html)
+    with written_whole(folder / "points.csv") as unfinished:
+        _write_points(unfinished, studies)
+    with written_whole(folder / "findings.txt") as unfinished:
+        unfinished.write_text("\n".join(text_of(studies, summary)) + "\n")
+    for study in studies:
+        with written_whole(folder / f"{study.name}.png") as unfinished:
+            _picture(study).savefig(unfinished, format="png", dpi=110)
+
+
+def text_of(studies: Sequence[Study], summary: Sequence[str]) -> list[str]:
+    """The findings of all studies as lines, the summary first."""
+    return [*summary, *(line for study in studies for line in ["", study.title, *(f"  {sentence}" for sentence in findings_of(study))])]
+
+
+def _series(study: Study) -> dict[str, list[Point]]:
+    series: dict[str, list[Point]] = {}
+    for point in study.points:
+        if point.is_measured:
+            series.setdefault(point.method, []).append(point)
+    return {method: sorted(points, key=lambda point: point.pair) for method, points in series.items()}
+
+
+def _figure(study: Study) -> graph.Figure:
+    """Error across, cost up, both logarithmic: a line a method, the front dashed, a star on the default, a diamond on the knee."""
+    figure = graph.Figure()
+    front, bend = front_of(study), knee_of(study)
+    figure.add_scatter(
+        x=[point.pair[0] for point in front], y=[point.pair[1] for point in front],
+        mode="lines", name="front", line={"color": "#1c2430", "dash": "dot", "width": 1}, hoverinfo="skip",
+    )  # fmt: skip
+    for colour, (method, points) in zip(_cycled(len(_series(study))), _series(study).items(), strict=True):
+        timings = [point.seconds or Timing.of([point.pair[1]]) for point in points]
+        figure.add_scatter(
+            x=[point.pair[0] for point in points], y=[point.pair[1] for point in points], mode="lines+markers", name=method,
+            line={"color": colour, "width": 1.5}, marker={"size": 8},
+            error_y={"type": "data", "symmetric": False, "thickness": 1, "array": [timing.p95 - timing.median for timing in timings],
+                     "arrayminus": [timing.median - timing.p5 for timing in timings]},
+            text=[_hover(point) for point in points], hovertemplate="%{text}<extra></extra>",
+        )  # fmt: skip
+    marked = [(point, "star", "default") for point in study.points if point.is_default and point.is_measured]
+    marked += [] if bend is None else [(bend, "diamond-open", "knee")]
+    for point, symbol, name in marked:
+        figure.add_scatter(
+            x=[point.pair[0]], y=[point.pair[1]], mode="markers", name=name, text=[_hover(point)], hovertemplate="%{text}<extra></extra>",
+            marker={"symbol": symbol, "size": 17, "color": "#edae49" if name == "default" else "#1c2430", "line": {"width": 1.5, "color": "#1c2430"}},
+        )  # fmt: skip
+    axis = {"type": "log", "showgrid": True, "gridcolor": "#e8ecf0", "exponentformat": "power", "automargin": True}
+    figure.update_layout(
+        template="plotly_white", margin={"l": 10, "r": 10, "t": 10, "b": 10}, hovermode="closest",
+        xaxis={**axis, "title": {"text": study.error_label}}, yaxis={**axis, "title": {"text": study.cost_label}},
+        legend={"orientation": "h", "yanchor": "top", "y": -0.22, "x": 0, "font": {"size": 11}},
+    )  # fmt: skip
+    return figure
+
+
+def _picture(study: Study) -> Figure:
+    """The same diagram as a picture for a paper or a README."""
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    axes = figure.subplots()
+    series = _series(study)
+    for colour, (method, points) in zip(_cycled(len(series)), series.items(), strict=True):
+        axes.plot(*zip(*[point.pair for point in points], strict=True), "o-", color=colour, label=method, markersize=4, linewidth=1)
+    front = front_of(study)
+    if front:
+        axes.plot(*zip(*[point.pair for point in front], strict=True), ":", color="#1c2430", linewidth=1, label="front")
+    for point in study.points:
+        if point.is_default and point.is_measured:
+            axes.plot(*point.pair, "*", color="#edae49", markeredgecolor="#1c2430", markersize=15, label="default")
+    if series:
+        axes.set(xscale="log", yscale="log")
+        figure.legend(loc="outside right upper", fontsize=7, frameon=False)
+    axes.set(xlabel=study.error_label, ylabel=study.cost_label, title=study.title)
+    axes.grid(visible=True, which="major", color="#e8ecf0")
+    return figure
+
+
+def _write_points(path: Path, studies: Sequence[Study]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for study in studies:
+            for point in study.points:
+                timing = point.seconds
+                times = ("", "", "", "") if timing is None else (timing.median, timing.p5, timing.p95, timing.repeats)
+                error = "" if point.error_mm is None else point.error_mm
+                counts, size = _counts(point), "" if point.bytes is None else point.bytes
+                rest = (int(point.is_default), int(point.is_reference), " ".join(point.overrides), point.failure or "")
+                writer.writerow([study.name, study.stage, point.method, point.setting, error, *times, size, counts, *rest])
+
+
+def _cells(point: Point) -> dict[str, Any]:
+    timing = point.seconds
+    return {
+        "method": point.method,
+        "setting": point.setting,
+        "is_default": point.is_default,
+        "is_reference": point.is_reference,
+        "failure": point.failure,
+        "error": "not measured" if point.error_mm is None else f"{point.error_mm:.4g}",
+        "seconds": "not measured" if timing is None else duration_text(timing.median),
+        "spread": _spread(timing),
+        "counts": _counts(point),
+        "bytes": "" if point.bytes is None else f"{point.bytes:,}",
+        "overrides": " ".join(point.overrides),
+    }
+
+
+def _spread(timing: Timing | None) -> str:
+    if timing is None or timing.repeats < 2:
+        return "one run"
+    return f"{duration_text(timing.p5)} to {duration_text(timing.p95)}"
+
+
+def _counts(point: Point) -> str:
+    return ", ".join(f"{name} {count:,}" for name, count in point.counts.items())
+
+
+def _hover(point: Point) -> str:
+    cells = _cells(point)
+    size = f"<br>{cells['bytes']} bytes" if cells["bytes"] else ""
+    return f"<b>{point.method}</b><br>{point.setting}<br>{cells['error']} mm, {cells['seconds']} ({cells['spread']})<br>{cells['counts']}{size}"
+
+
+def _cycled(count: int) -> list[str]:
+    return [COLOURS[place % len(COLOURS)] for place in range(count)]

@@ -1,0 +1,94 @@
+"""What accuracy costs in training: decoders of several sizes, each trained anew for several budgets of seconds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from sdfnet.cost.studies import Point, Study, Timing
+from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.errors import TrainingError
+from sdfnet.evaluation.field_errors import field_errors
+from sdfnet.models.networks import Networks
+from sdfnet.models.settings import ModelSettings
+from sdfnet.training.fitting import fit_quietly
+from sdfnet.training.module import SdfTraining
+from sdfnet.training.settings import OptimizerSettings, TrainingSettings
+
+MEASURED_FRAMES = 11
+NEAR_POINTS = 20_000  # of the stored samples about the surface: the mean error is known to about 1 %
+UNLIMITED_EPOCHS = 100_000  # where a budget of seconds ends the training
+
+
+@dataclass(frozen=True)
+class Budget:
+    """A network to train: its width, also its number of frequencies, and for how long; None stands for the user's own setting."""
+
+    width: int | None = None
+    seconds: float | None = None
+
+
+FULL = (Budget(16, 20.0), Budget(16, 60.0), Budget(None, 20.0), Budget(None, 60.0), Budget(), Budget(128, 60.0), Budget(128, 120.0))
+QUICK = (Budget(16, 10.0), Budget(None, 10.0), Budget())
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A network of the study, for the studies that need one."""
+
+    networks: Networks
+    point: Point
+
+
+def training_study(
+    family: ShapeFamily, model: ModelSettings, training: TrainingSettings, optimizer: OptimizerSettings, precision: str, budgets: Sequence[Budget] = FULL
+) -> tuple[Study, list[Trained]]:
+    """Error against seconds of training, with the networks that were trained; each budget is a run of its own from the same seed.
+
+    The error is that of the distance itself, near the surface and without a grid: what the network adds to what the
+    other stages cost. A run that diverges is a failed point.
+    """
+    points, trained = [], []
+    for budget in budgets:
+        chosen = model if budget.width is None else replace(model, width=budget.width, frequencies=budget.width)
+        limited = training if budget.seconds is None else replace(training, seconds=budget.seconds, epochs=UNLIMITED_EPOCHS)
+        torch.manual_seed(family.seed)
+        module = SdfTraining(family, chosen, limited, optimizer)
+        method = f"width {chosen.width}"
+        setting = f"{training.epochs} epochs" if budget.seconds is None else f"{budget.seconds:g} s"
+        overrides = _overrides(budget)
+        try:
+            fit_quietly(module, family, limited.epochs, precision, validate_every=limited.validate_every)
+        except TrainingError as error:
+            points.append(Point(method, setting, overrides=overrides, failure=str(error)))
+            continue
+        networks = module.networks.eval().cpu()
+        counts = {"steps": module.global_step, "decoder parameters": networks.decoder.parameter_count}
+        seconds = Timing.of([module.train_seconds])
+        size = networks.sizes(len(family.shapes))["query_bytes"]
+        points.append(Point(method, setting, near_error_mm(networks, family), seconds, counts, size, budget == Budget(), overrides))
+        trained.append(Trained(networks, points[-1]))
+    study = Study(
+        "training", "training", "What training costs", "mean error of the distance within 1 % of D of the surface (mm)", "training (s)", tuple(points)
+    )
+    return study, trained
+
+
+def near_error_mm(networks: Networks, family: ShapeFamily, frames: int = MEASURED_FRAMES, points: int = NEAR_POINTS) -> float:
+    """Mean over frames of the distance's error at points within 1 % of D of the true surface, mm."""
+    samples, diagonal, latents = family.samples, family.trajectory.mesh.diagonal, networks.latents(family.shapes.cpu())
+    chosen = slice(None, None, max(1, len(samples.near_points) // points))
+    asked = torch.from_numpy(samples.near_points[chosen])
+    found = []
+    for frame in np.unique(np.linspace(0, len(latents) - 1, frames).round().astype(int)):
+        with torch.inference_mode():
+            predicted = networks.decoder(latents[frame : frame + 1], asked)[0]
+        found.append(field_errors(predicted, torch.from_numpy(samples.near_distances[frame][chosen]), diagonal).mae_within_1_percent_mm)
+    return float(np.mean(found))
+
+
+def _overrides(budget: Budget) -> tuple[str, ...]:
+    width = () if budget.width is None else (f"model.width={budget.width}", f"model.frequencies={budget.width}")
+    seconds = () if budget.seconds is None else (f"training.seconds={budget.seconds:g}", f"training.epochs={UNLIMITED_EPOCHS}")
+    return (*width, *seconds)

@@ -1,0 +1,118 @@
+"""Sentences and the cheapest whole, on points whose answer can be seen."""
+
+from dataclasses import replace
+
+import pytest
+
+from sdfnet.cost.findings import cheapest_whole, findings_of, front_of
+from sdfnet.cost.studies import EXACT_MM, Point, Study, Timing, duration_text, interleaved
+
+
+def point(error: float | None, seconds: float | None, setting: str = "s", **more: object) -> Point:
+    return Point("method", setting, error, None if seconds is None else Timing.of([seconds]), **more)  # type: ignore[arg-type]
+
+
+def study(name: str, *points: Point, share_of_whole: float = 1.0) -> Study:
+    return Study(name, name.split("_")[0], name.title(), "error (mm)", "seconds", points, share_of_whole)
+
+
+def test_front_leaves_out_failed_and_unmeasured_points() -> None:
+    good = point(0.1, 1.0)
+    assert front_of(study("training", good, point(None, 0.5), point(0.2, None), point(0.01, 0.01, failure="not installed"))) == [good]
+
+
+def test_findings_give_the_slope_of_a_power_law_and_say_when_the_default_is_beaten() -> None:
+    line = [point(10.0**-digit, 3.0**digit, f"digit {digit}") for digit in range(4)]
+    beaten = point(0.05, 30.0, "asked for", is_default=True)
+    text = " ".join(findings_of(study("simulation", *line, beaten, point(None, None, failure="refused"))))
+    assert "a tenth of the error costs 3 times the time" in text
+    assert "is beaten by method, digit 2 (0.01 mm, 9 s): 3.3 times quicker and no less accurate" in text
+    assert "1 of 6 points failed" in text
+    assert "The default is on the front: method, digit 1" in " ".join(
+        findings_of(study("simulation", line[0], point(0.1, 3.0, "digit 1", is_default=True), line[2]))
+    )
+
+
+def test_study_in_which_everything_failed_says_why() -> None:
+    assert findings_of(study("distances", point(None, None, failure="not installed"))) == ["Nothing could be measured: not installed."]
+
+
+SIMULATION = study("simulation_time", point(0.01, 10.0, is_default=True), point(0.3, 1.0, overrides=("a=1",)))
+DISTANCES = study("distances", point(1e-3, 2.0, is_default=True))
+TRAINING = study("training", point(0.1, 100.0, overrides=("b=2",)), point(0.5, 10.0, is_default=True))
+
+
+def test_cheapest_whole_adds_errors_and_seconds_of_one_point_of_each_study() -> None:
+    found = cheapest_whole([TRAINING, study("simulation_space", point(0.0, 0.0, is_default=True)), DISTANCES, SIMULATION], 0.45)
+    assert found is not None
+    assert [one.pair for one in found.points] == [(0.3, 1.0), (1e-3, 2.0), (0.1, 100.0)]
+    assert (found.error_mm, found.seconds) == (pytest.approx(0.401), 103.0)
+    assert "python train.py a=1 b=2" in found.words()
+    too_much = cheapest_whole([SIMULATION, DISTANCES, TRAINING], 0.05)
+    assert too_much is not None
+    assert "0.05 mm: no time step, distances and training that were measured are accurate enough" in too_much.words()
+
+
+def test_whole_has_the_seconds_of_the_whole_run_and_not_of_the_part_that_was_studied() -> None:
+    third = replace(SIMULATION, share_of_whole=1 / 3)
+    million = replace(DISTANCES, share_of_whole=1 / 131.3)
+    found = cheapest_whole([third, million, TRAINING], 0.45)
+    assert found is not None
+    assert [one.pair[1] for one in found.points] == pytest.approx([3.0, 262.6, 100.0])
+    assert "366 s for the whole motion" in found.words()
+    assert "(0.3 mm, 3 s)" in found.words()
+
+
+def test_whole_chooses_nothing_that_no_command_can_be_told_to_do() -> None:
+    library = study("distances", point(0.0, 0.1, "a library"), point(1e-3, 2.0, "ours", is_default=True))
+    found = cheapest_whole([SIMULATION, library, TRAINING], 0.45)
+    assert found is not None
+    assert found.points[1].setting == "ours"
+
+
+@pytest.mark.parametrize("missing", [SIMULATION, DISTANCES, TRAINING])
+def test_whole_is_not_told_of_a_part_of_its_studies(missing: Study) -> None:
+    assert cheapest_whole([one for one in (SIMULATION, DISTANCES, TRAINING) if one is not missing], 0.45) is None
+    failed = replace(missing, points=(point(None, None, failure="refused", is_default=True),))
+    assert cheapest_whole([failed if one is missing else one for one in (SIMULATION, DISTANCES, TRAINING)], 0.45) is None
+
+
+def test_reference_is_on_no_front_and_in_no_fit() -> None:
+    line = [point(10.0**-digit, 3.0**digit, f"digit {digit}") for digit in range(4)]
+    with_reference = study("distances", *line, point(0.0, 1e6, "reference", is_reference=True, is_default=True))
+    assert front_of(with_reference) == line[::-1]
+    assert findings_of(with_reference) == findings_of(study("distances", *line))
+    alone = study("distances", point(0.0, 1.0, is_reference=True))
+    assert findings_of(alone) == ["Nothing could be measured: there is the reference alone."]
+
+
+def test_study_of_bytes_is_told_in_bytes() -> None:
+    sizes = [Point("method", f"size {size}", 1 / size, bytes=size) for size in (1, 10, 100)]
+    worse = Point("method", "default", 0.2, bytes=30, is_default=True)
+    text = " ".join(findings_of(study("network", *sizes, worse)))
+    assert "Smallest: method, size 1 (1 mm, 1 bytes)" in text
+    assert "a tenth of the error costs 10 times the bytes" in text
+    assert "3 times smaller and no less accurate" in text
+    assert "uick" not in text
+    assert "time." not in text
+
+
+def test_error_of_zero_can_stand_on_a_logarithmic_axis() -> None:
+    assert point(0.0, 1.0).pair == (EXACT_MM, 1.0)
+
+
+def test_interleaved_timing_takes_turns_and_leaves_out_the_warm_up() -> None:
+    called: list[str] = []
+    timings = interleaved({"a": lambda: called.append("a"), "b": lambda: called.append("b")}, repeats=3, warm_up=1)
+    assert called == ["a", "b"] * 4
+    assert timings["a"].repeats == 3
+
+
+def test_timing_is_the_median_with_its_spread_and_can_be_shared_out() -> None:
+    timing = Timing.of([3.0, 1.0, 2.0]).divided_by(2)
+    assert (timing.median, timing.p5, timing.p95) == pytest.approx((1.0, 0.55, 1.45))
+    assert timing.divided_by(0.25).median == 4.0
+
+
+def test_durations_are_told_in_the_unit_that_suits_them() -> None:
+    assert [duration_text(seconds) for seconds in (90.0, 0.0123, 4.5e-6, 2e-9)] == ["90 s", "12.3 ms", "4.5 us", "2 ns"]

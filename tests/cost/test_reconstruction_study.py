@@ -1,0 +1,34 @@
+"""Grids from coarse to fine: the error falls with the square of the spacing, both ways are timed on one grid."""
+
+import math
+
+import torch
+
+from sdfnet.cost.reconstruction_study import QUICK_RESOLUTIONS, reconstruction_study
+from sdfnet.data.datamodule import ShapeFamily
+from tests.cost.conftest import ball_networks
+
+
+def test_error_of_the_grid_falls_with_the_square_of_its_spacing(ball_family: ShapeFamily) -> None:
+    study = reconstruction_study(ball_networks(ball_family), ball_family.trajectory, ball_family.samples, quick=True)
+    sparse = [point for point in study.points if point.method == "sparse"]
+    whole = [point for point in study.points if point.method == "whole grid"]
+    assert [point.setting for point in sparse] == [f"{resolution}^3" for resolution in QUICK_RESOLUTIONS]
+    assert all(point.is_measured for point in study.points)
+    coarse, fine = sparse[0].pair[0], sparse[-1].pair[0]
+    order = math.log(coarse / fine) / math.log((QUICK_RESOLUTIONS[-1] - 1) / (QUICK_RESOLUTIONS[0] - 1))
+    assert 1.5 < order < 2.5  # second order on a smooth surface; the ball has facets
+    assert [point.pair[0] for point in sparse] == [point.pair[0] for point in whole]
+    for few, all_points, resolution in zip(sparse, whole, QUICK_RESOLUTIONS, strict=True):
+        assert all_points.counts["network queries"] == resolution**3
+        assert few.counts["network queries"] < resolution**3
+    assert [point.setting for point in study.points if point.is_default] == ["100^3"]
+
+
+def test_network_without_a_surface_is_a_failed_point_at_every_resolution(ball_family: ShapeFamily) -> None:
+    networks = ball_networks(ball_family)
+    with torch.no_grad():
+        networks.decoder.from_latent.bias.fill_(5.0)
+    study = reconstruction_study(networks, ball_family.trajectory, ball_family.samples, quick=True)
+    assert len(study.points) == len(QUICK_RESOLUTIONS)
+    assert all(point.failure is not None and "both sides of zero" in point.failure for point in study.points)

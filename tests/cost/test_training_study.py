@@ -1,0 +1,77 @@
+"""Trainings for several budgets: the seconds are kept to, more of them help, a run that diverges is a row."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sdfnet.cost.training_study import FULL, QUICK, Budget, near_error_mm, training_study
+from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.models.networks import Networks
+from sdfnet.training.module import SdfTraining
+from tests.cost.conftest import MODEL, OPTIMIZER, TRAINING
+
+
+@pytest.fixture(autouse=True)
+def _quiet() -> None:
+    torch.manual_seed(0)
+
+
+def test_each_budget_is_a_point_and_the_users_own_setting_the_default(ball_family: ShapeFamily) -> None:
+    budgets = (Budget(8, 0.3), Budget(None, 0.3), Budget())
+    study, trained = training_study(ball_family, MODEL, TRAINING, OPTIMIZER, "32-true", budgets)
+    assert [(point.method, point.setting, point.is_default) for point in study.points] == [
+        ("width 8", "0.3 s", False),
+        ("width 16", "0.3 s", False),
+        ("width 16", "4 epochs", True),
+    ]
+    assert study.points[0].overrides == ("model.width=8", "model.frequencies=8", "training.seconds=0.3", "training.epochs=100000")
+    assert [one.networks.decoder.parameter_count for one in trained] == [point.counts["decoder parameters"] for point in study.points]
+    assert study.points[2].counts["steps"] == 2 * 4 * 40  # Lightning counts the step of each of both optimisers
+    assert all(point.is_measured for point in study.points)
+
+
+def test_training_ends_soon_after_its_seconds_and_its_rates_have_fallen_to_nothing(ball_family: ShapeFamily) -> None:
+    study, _ = training_study(ball_family, MODEL, TRAINING, OPTIMIZER, "32-true", (Budget(None, 1.0),))
+    (point,) = study.points
+    assert point.seconds is not None
+    assert 1.0 <= point.seconds.median < 3.0  # a step takes milliseconds; the machine may be busy
+    assert 0 < point.counts["steps"] < 2 * 40 * 100_000
+
+
+def test_more_steps_lower_the_error(ball_family: ShapeFamily) -> None:
+    study, _ = training_study(ball_family, MODEL, replace(TRAINING, epochs=1), OPTIMIZER, "32-true", (Budget(),))
+    longer, _ = training_study(ball_family, MODEL, replace(TRAINING, epochs=8), OPTIMIZER, "32-true", (Budget(),))
+    assert longer.points[0].pair[0] < 0.8 * study.points[0].pair[0]
+
+
+def test_each_budget_validates_as_train_py_does(ball_family: ShapeFamily, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paper's second plateau hears of nothing but the validation loss."""
+    epochs: list[int] = []
+    monkeypatch.setattr(SdfTraining, "on_validation_epoch_end", lambda module: epochs.append(module.current_epoch))
+    training_study(ball_family, MODEL, replace(TRAINING, validate_every=2), OPTIMIZER, "32-true", (Budget(),))
+    assert epochs == [1, 3]
+
+
+def test_quick_study_has_the_users_own_setting() -> None:
+    assert Budget() in QUICK
+    assert Budget() in FULL
+
+
+def test_run_that_diverges_is_a_failed_point(ball_family: ShapeFamily) -> None:
+    study, trained = training_study(ball_family, MODEL, TRAINING, replace(OPTIMIZER, decoder_rate=1e30), "32-true", (Budget(),))
+    assert trained == []
+    assert study.points[0].failure is not None
+    assert "not finite" in study.points[0].failure
+
+
+def test_error_is_in_millimetres_and_that_of_the_distance(ball_family: ShapeFamily) -> None:
+    box, samples = ball_family.samples.box, ball_family.samples
+    networks = Networks(MODEL, ball_family.shapes, torch.from_numpy(box.lower).float(), torch.from_numpy(box.upper).float())
+    with torch.no_grad():
+        for weights in networks.decoder.parameters():
+            weights.zero_()
+    near = np.abs(samples.near_distances) < 0.01 * ball_family.trajectory.mesh.diagonal
+    expected = 1e3 * np.mean([np.abs(row[mask]).mean() for row, mask in zip(samples.near_distances, near, strict=True)])
+    assert near_error_mm(networks, ball_family, frames=len(near), points=len(samples.near_points)) == pytest.approx(expected, rel=1e-5)
