@@ -11,7 +11,7 @@ train: environment
 	$(BIN)/python train.py $(ARGS)
 
 test: environment
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow and not gpu" --cov --cov-report=term --cov-fail-under=90 $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not gpu" --cov --cov-report=term --cov-fail-under=90 $(ARGS)
 
 check: environment
 	$(BIN)/ruff format --check src tests datasets *.py

@@ -2,6 +2,7 @@
 
 Every effect is added to the paper's poke by itself. Steps with and without it are interleaved; medians. The first row is
 a loop of three lines with the same matrix: what the paper's scene would cost if no other effect had been written.
+Then what the checks after every frame add to its steps: frames with and without them interleaved, medians.
 """
 
 import time
@@ -21,13 +22,14 @@ from sdfnet.physics.effects.prestrain import Prestrain
 from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
 from sdfnet.physics.effects.rigid_finger import RigidFinger
 from sdfnet.physics.effects.traction import Traction
+from sdfnet.physics.energy_watch import is_finite
 from sdfnet.physics.integrators.integrator import torch_csr
 from sdfnet.physics.plan import plan
 from sdfnet.physics.regions import Ball
 from sdfnet.plugins import find_datasets
 from sdfnet.scene import Scene
 
-STEPS, REPEATS = 40, 9
+STEPS, REPEATS, FRAMES = 40, 9, 60
 NOSE = (0.0, -0.024, 0.086)
 
 
@@ -81,6 +83,7 @@ def main() -> None:
     print(f"{'scene':<34}{'ms per step':>12}{'ratio':>8}{'step':>8}")
     for name, values in seconds.items():
         print(f"{name:<34}{1e3 * np.median(values):>12.3f}{np.median(values) / base:>8.2f}{limits.get(name, 1.0):>8.2f}")
+    print("\n".join(_checks(without)))
     poke, foot = scene.effects["poke"], scene.effects["foot"]
     scenes = {
         "the paper's poke": scene.effects,
@@ -101,6 +104,24 @@ def _advance(compiled):
     integrator, _ = compiled.compile()
     state = integrator.initial_state()
     return lambda steps: integrator.advance(state, steps)
+
+
+def _checks(compiled) -> list[str]:
+    """A line for the finite check alone, and one for all that the energy watch asks."""
+    integrator, watch = compiled.compile()
+    state = integrator.initial_state()
+    watch.problem(state)
+    checks = {"steps alone": lambda: None, "finite checks": lambda: is_finite(state), "finite and energy checks": lambda: watch.problem(state)}
+    seconds: dict[str, list[float]] = {name: [] for name in checks}
+    for _ in range(FRAMES):
+        for name, check in checks.items():
+            began = time.perf_counter()
+            integrator.advance(state, compiled.steps_per_frame)
+            check()
+            seconds[name].append(time.perf_counter() - began)
+    medians = {name: float(np.median(values)) for name, values in seconds.items()}
+    base = medians["steps alone"]
+    return [f"{f'a frame: {name}':<34}{1e3 * value:>12.3f} ms{100 * (value / base - 1):>8.2f} % more" for name, value in medians.items()]
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ def composed(name: str, *overrides: str) -> DictConfig:
 
 def composed_dataset(*overrides: str) -> Dataset:
     """The dataset that `prepare` would be given."""
-    register()
+    register("prepare")
     found = frozen(composed("prepare", *overrides)).dataset
     assert isinstance(found, Dataset)
     return found

@@ -25,6 +25,13 @@ def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(0)
 
 
+@pytest.fixture(autouse=True)
+def _hydra_as_users_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mistakes end in a line and an exit code, also where coverage's tracing looks like a debugger to Hydra."""
+    monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
+    monkeypatch.setattr("hydra._internal.utils.is_under_debugger", lambda: False)
+
+
 @pytest.fixture(scope="session")
 def readings() -> Callable[[], Any]:
     """`readings()` is a new logger for Lightning that keeps what is logged: `of_epoch[3]["rate/encoder"]`."""

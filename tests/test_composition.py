@@ -51,14 +51,14 @@ def test_an_effect_is_removed_with_a_tilde() -> None:
     ],
 )
 def test_a_wrong_type_or_key_is_refused_at_composition(override: str, reason: str) -> None:
-    register()
+    register("prepare")
     with pytest.raises((ConfigCompositionException, OmegaConfBaseException)) as caught:
         composed("prepare", "dataset=sphere_squeeze", override)
     assert reason in f"{caught.value} {caught.value.__cause__}"
 
 
 def test_what_the_object_itself_refuses_keeps_its_own_words() -> None:
-    register()
+    register("prepare")
     with pytest.raises(ConfigurationError, match=r"material\.poisson_ratio must lie in \(-1, 0\.5\), found 0\.5"):
         frozen(composed("prepare", "dataset=sphere_squeeze", "dataset.scene.material.poisson_ratio=0.5"))
 

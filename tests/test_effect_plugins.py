@@ -106,7 +106,6 @@ def plugin() -> Path:
 @pytest.fixture
 def prepare(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
     """All that `python prepare.py` says to these arguments."""
-    monkeypatch.setattr("hydra._internal.utils.is_under_debugger", lambda: False)  # Hydra takes coverage's tracing for a debugger's
 
     def run(*arguments: str) -> str:
         monkeypatch.setattr(sys, "argv", ["prepare.py", *arguments, "data_folder=data", "plan_only=true"])
@@ -120,7 +119,7 @@ def prepare(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) 
 
 
 def _scene(*overrides: str) -> Scene:
-    register()
+    register("prepare")
     with initialize_config_dir(str(shipped("conf").resolve()), version_base="1.3"):
         found: Scene = frozen(compose("prepare", list(overrides))).dataset.scene
     return found

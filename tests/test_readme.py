@@ -30,6 +30,7 @@ def test_the_cantilever_of_the_readme_is_that_of_beam_theory(capsys: pytest.Capt
     tip, first, *_ = (float(number) for number in re.findall(r"-?\d+\.\d+", capsys.readouterr().out))
     assert tip == pytest.approx(-0.8048, rel=0.01)  # quadratic elements, as in the reference cases
     assert first == pytest.approx(0.11349, rel=0.01)
+    assert [float(number) for number in re.findall(r"# .*?(-?\d\.\d+) (?:m|Hz)", NOTEBOOK[2])] == [-0.8048, 0.1135]  # what the README says beside them
 
 
 def test_every_file_that_the_readme_links_to_exists() -> None:

@@ -1,15 +1,17 @@
 """Every page in conf/ composes, and says what it should."""
 
+import re
+
 import pytest
+import torch
 from omegaconf import OmegaConf
 
-from sdfnet.cli.entry import register
+from sdfnet.cli.entry import SCHEMAS, register
 from sdfnet.cli.settings import TrainerSettings
 from sdfnet.evaluation.evaluate import EvaluationSettings
+from sdfnet.models.decoder import SdfCalculator
 from sdfnet.plugins import frozen, shipped
 from tests.composition import composed
-
-pytestmark = pytest.mark.usefixtures("clean_store")
 
 
 def _choices(group: str) -> list[str]:
@@ -18,19 +20,25 @@ def _choices(group: str) -> list[str]:
 
 COMMANDS = [
     ("train", []),
-    *[("train", [choice]) for group in ("model", "batch", "optimizer", "training", "experiment") for choice in _choices(group)],
+    *[("train", [choice]) for group in ("model", "batch", "optimizer", "training", "sweep", "experiment") for choice in _choices(group)],
+    *[("train", [f"strategy=[{path.stem}]"]) for path in sorted((shipped("conf") / "strategy").glob("*.yaml"))],
     *[("train", [f"dataset={path.stem}"]) for path in sorted(shipped("datasets").glob("*.py"))],
     ("prepare", []),
     ("evaluate", ["checkpoint=some.ckpt"]),
-    ("cost", []),
-    ("verify", []),
+    ("cost", ["dataset_name=any"]),  # else Hydra says it, when it runs
     ("verify", []),
 ]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _registered() -> None:
+    register(*SCHEMAS)
+
+
 @pytest.mark.parametrize(("command", "overrides"), COMMANDS, ids=[" ".join([command, *overrides]) for command, overrides in COMMANDS])
 def test_every_shipped_page_composes_and_becomes_its_objects(command: str, overrides: list[str]) -> None:
-    register()
+    if overrides == ["sweep=search"]:
+        pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="its sweeper comes with pip install 'sdfnet[search]'")
     config = composed(command, *overrides)
     settings = frozen(config)
     assert type(settings).__name__ == f"{command.title()}Settings"
@@ -41,12 +49,11 @@ def test_every_shipped_page_composes_and_becomes_its_objects(command: str, overr
 
 def test_every_yaml_is_covered_by_the_commands() -> None:
     pages = {path.relative_to(shipped("conf")).with_suffix("").as_posix() for path in shipped("conf").rglob("*.yaml")}
-    covered = {command for command, _ in COMMANDS} | {override.replace("=", "/") for _, overrides in COMMANDS for override in overrides}
+    covered = {command for command, _ in COMMANDS} | {re.sub(r"=\[?|\]", "/", override).rstrip("/") for _, overrides in COMMANDS for override in overrides}
     assert pages <= covered
 
 
 def test_the_papers_experiment_has_the_papers_numbers() -> None:
-    register()
     settings = frozen(composed("train", "experiment=paper"))
     scene, sampling = settings.dataset.scene, settings.dataset.sampling
     assert (scene.solver.mass, scene.solver.integrator, scene.solver.time_step) == ("consistent", "symplectic_euler", 1e-6)
@@ -61,6 +68,18 @@ def test_the_papers_experiment_has_the_papers_numbers() -> None:
     assert [(phase.trains, phase.epochs) for phase in settings.training.cycle] == [("both", 7), ("encoder", 5), ("decoder", 12)]
     plateaus = [(one.first_epoch, one.last_epoch, one.patience, one.factor) for one in settings.optimizer.plateaus]
     assert plateaus == [(3, 19, 30, 0.92), (20, None, 2, 0.75)]
+
+
+@pytest.mark.parametrize("name", ["siren", "hash_grid", "dense_grid", "modulated", "pod", "learned"])
+def test_the_other_small_models_have_the_bytes_of_the_default(name: str) -> None:
+    small, other = (SdfCalculator(frozen(composed("train", f"model={one}")).model, torch.zeros(3), torch.ones(3)).parameter_count for one in ("small", name))
+    assert small == 14_721
+    assert other == pytest.approx(small, rel=0.02)  # a width more or less is as much
+
+
+def test_the_menu_of_train_names_every_model() -> None:
+    (line,) = [line for line in (shipped("conf") / "train.yaml").read_text().splitlines() if line.startswith("  - model:")]
+    assert [path.stem for path in (shipped("conf") / "model").glob("*.yaml") if path.stem not in line.split("#")[1]] == []
 
 
 def test_the_menu_of_train_shows_all_settings_of_trainer_and_evaluation_at_their_defaults() -> None:
