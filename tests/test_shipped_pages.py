@@ -73,8 +73,8 @@ def test_the_papers_experiment_has_the_papers_numbers() -> None:
 @pytest.mark.parametrize("name", ["siren", "hash_grid", "dense_grid", "modulated", "pod", "learned"])
 def test_the_other_small_models_have_the_bytes_of_the_default(name: str) -> None:
     small, other = (SdfCalculator(frozen(composed("train", f"model={one}")).model, torch.zeros(3), torch.ones(3)).parameter_count for one in ("small", name))
-    assert small == 14_721
-    assert other == pytest.approx(small, rel=0.02)  # a width more or less is as much
+    assert small == 14_977
+    assert other == pytest.approx(small, rel=0.025)  # a width more or less is as much
 
 
 def test_the_menu_of_train_names_every_model() -> None:

@@ -18,6 +18,18 @@ def test_features_are_the_sines_then_the_cosines_of_the_same_phases() -> None:
     torch.testing.assert_close(encoding(points).double(), torch.cat([phases.sin(), phases.cos()], dim=1), rtol=0, atol=5e-6)
 
 
+def test_input_and_its_length_come_before_the_waves_where_they_are_asked_for() -> None:
+    encoding = encoding_of(ModelSettings(encoding="fourier", frequencies=5, include_input=True), torch.ones(3))
+    points = torch.tensor([[2.0, -1.0, 2.0], [0.0, 0.0, 0.0]], requires_grad=True)
+    features = encoding(points)
+    assert features.shape == (2, encoding.features)
+    assert features[:, :4].tolist() == [[2.0, -1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 0.0]]
+    waves = encoding_of(ModelSettings(encoding="fourier", frequencies=5), torch.ones(3))(points)
+    assert torch.equal(features[:, 4:], waves)
+    (gradients,) = torch.autograd.grad(features.sum(), points)
+    assert gradients.isfinite().all()  # at the centre too, where the distance has a kink
+
+
 def test_frequencies_spread_by_pi_times_the_scale() -> None:
     # 30,000 normal numbers give their deviation to 0.4 %; four times that is allowed
     assert float(FourierFeatures(10_000, 1.5).frequencies.std()) == pytest.approx(1.5 * math.pi, rel=0.016)

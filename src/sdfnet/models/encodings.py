@@ -27,14 +27,16 @@ class FourierFeatures(nn.Module):
 
     B is drawn from a scrambled Sobol sequence, which leaves no gaps and no clumps, with its own seed; it is saved with
     the weights and counted in the decoder's size. It lets a small network show detail of about 1 / scale of the box's
-    half side; much larger scales ring.
+    half side; much larger scales ring. With `include_input` the point itself and its distance from the centre come
+    first: waves alone do not grow with the distance, and fewer than thirty of them leave surfaces far from the solid.
     """
 
     frequencies: Tensor
 
-    def __init__(self, frequencies: int, scale: float, seed: int = 0) -> None:
+    def __init__(self, frequencies: int, scale: float, include_input: bool = False, seed: int = 0) -> None:
         super().__init__()
-        self.features = 2 * frequencies
+        self.include_input = include_input
+        self.features = 2 * frequencies + (4 if include_input else 0)
         uniform = torch.quasirandom.SobolEngine(3, scramble=True, seed=seed).draw(frequencies).clamp(SMALLEST_QUANTILE, 1 - SMALLEST_QUANTILE)
         normal = math.sqrt(2) * torch.erfinv(2 * uniform - 1)
         self.register_buffer("frequencies", math.pi * scale * normal.T.contiguous())
@@ -43,7 +45,9 @@ class FourierFeatures(nn.Module):
         """Encode points given in mean half sides of the box."""
         with torch.autocast(points.device.type, enabled=False):  # the phase needs float32: bf16 would be wrong by a tenth of a radian
             phase = points @ self.frequencies
-        return torch.cat([torch.sin(phase), torch.cos(phase)], dim=-1)
+            waves = [torch.sin(phase), torch.cos(phase)]
+            inputs = [points, torch.linalg.vector_norm(points, dim=-1, keepdim=True)] if self.include_input else []
+        return torch.cat([*inputs, *waves], dim=-1)
 
 
 Encoding = IdentityEncoding | FourierFeatures | GridFeatures
@@ -54,7 +58,7 @@ def encoding_of(settings: ModelSettings, extent: Float32[Tensor, "3"]) -> Encodi
     if settings.encoding == "none":
         return IdentityEncoding()
     if settings.encoding == "fourier":
-        return FourierFeatures(settings.frequencies, settings.fourier_scale)
+        return FourierFeatures(settings.frequencies, settings.fourier_scale, settings.include_input)
     resolutions = settings.grid_resolutions
     table_size = settings.grid_table_size if settings.encoding == "hash_grid" else (resolutions[0] + 1) ** 3
     return GridFeatures(resolutions, settings.grid_features, table_size, extent)

@@ -24,6 +24,7 @@ class ModelSettings:
     encoding: str = "none"  # of the query point: none, fourier, hash_grid or dense_grid
     frequencies: int = 64  # of the Fourier features; each gives a sine and a cosine
     frequency_scale: float | None = None  # their standard deviation, in radians per mean half side of the box, over pi; none: sqrt(frequencies) / 4
+    include_input: bool = False  # the point itself and its distance from the box's centre beside the Fourier features
     activation: str = "relu"  # relu, gelu, silu, sine (sin x) or siren (sin omega x, with its own first weights)
     encoder_width: int | None = None  # of the Mesh Encoder's hidden layers; none: the same as width
     encoder_depth: int | None = None  # none: the same as depth
