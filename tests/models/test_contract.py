@@ -19,10 +19,12 @@ pytestmark = pytest.mark.parametrize("kind", KINDS, ids="-".join)
 
 
 def networks_of(kind: tuple[str, str, str, str]) -> Networks:
-    named = dict(zip(("encoding", "activation", "conditioning", "latents"), kind, strict=True))
-    return Networks(
-        ModelSettings(8, 3, latent=3, frequencies=4, include_input=True, grid_levels=2, grid_resolution=2, grid_table_size=40, **named), SHAPES, LOWER, UPPER
-    )  # type: ignore[arg-type]
+    encoding, activation, conditioning, latents = kind
+    settings = ModelSettings(
+        8, 3, latent=3, encoding=encoding, frequencies=4, include_input=True, activation=activation, conditioning=conditioning, latents=latents,
+        grid_levels=2, grid_resolution=2, grid_table_size=40,
+    )  # fmt: skip
+    return Networks(settings, SHAPES, LOWER, UPPER)
 
 
 def test_shapes_and_gradients_are_right_and_finite(kind: tuple[str, str, str, str]) -> None:

@@ -57,6 +57,19 @@ def test_asked_studies_make_one_page_with_their_tables(command: Command, capfd: 
     assert "What accuracy costs: sphere_squeeze" in (folder / "report.html").read_text()
 
 
+def test_share_of_the_motion_that_is_run_is_the_one_that_was_asked_for(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    durations: list[float] = []
+
+    def noted(scene: Scene, mesh: TetMesh, duration: float, quick: bool) -> Study:
+        durations.append(duration / scene.recording.duration)
+        return made("simulation_time")()
+
+    monkeypatch.setattr(costs, "simulation_time_study", noted)
+    for words in ((), ("motion_share=0.7",)):
+        command("cost", *SMALL, "studies=[simulation_time]", *words)
+    assert durations == pytest.approx([0.2, 0.7])
+
+
 def test_study_of_a_network_without_one_says_what_to_give(command: Command, capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         command("cost", *SMALL, "studies=[reconstruction]")
@@ -119,6 +132,7 @@ def test_checkpoint_of_another_dataset_is_refused_before_anything_is_measured(co
     [
         (("checkpoint=.",), "checkpoint must be a file, found a folder at '.'"),
         (("checkpoint=nowhere.ckpt",), "checkpoint must be a file, found nothing at 'nowhere.ckpt'"),
+        (("motion_share=1.5",), "motion_share must lie in (0, 1], found 1.5"),
         (("precision=8-bit",), "precision must be one of bf16-mixed, 32-true; found '8-bit'"),
         (("studies=[distances,queries]",), "studies=queries needs a network, found none; add training to studies"),
     ],

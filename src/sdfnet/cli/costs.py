@@ -79,8 +79,8 @@ class Bench:
 
     def simulation_time(self) -> list[Study]:
         """Error in time against seconds."""
-        quick = self.settings.quick
-        duration = self.share_of_motion(QUICK_TIME_SHARE if quick else TIME_SHARE)
+        quick, asked = self.settings.quick, self.settings.motion_share
+        duration = self.share_of_motion(asked if asked is not None else QUICK_TIME_SHARE if quick else TIME_SHARE)
         return [simulation_time_study(self.settings.dataset.scene, self.family.trajectory.mesh, duration, quick)]
 
     def simulation_space(self) -> list[Study]:

@@ -117,6 +117,7 @@ class CostSettings:
     precision: str = "bf16-mixed"  # of trainings: bf16-mixed or 32-true
     studies: tuple[str, ...] = STUDIES
     quick: bool = False  # fewer points of each study
+    motion_share: float | None = None  # of the scene's duration that simulation_time runs; none: a third, or a fifth when quick
     checkpoint: str | None = None  # the network that is asked and reconstructed; none: the default that the training study makes
     sweep_folder: str | None = None  # the folder of a sweep whose networks enter the network study; none: those of the training study alone
     wanted_mm: tuple[float, ...] = (1.0, 0.3, 0.1)  # accuracies for which the cheapest time step, distances and training are named
@@ -126,6 +127,8 @@ class CostSettings:
         unknown = [name for name in self.studies if name not in STUDIES]
         if unknown or not self.studies:
             raise ConfigurationError(f"studies must be one of {', '.join(STUDIES)}; found '{unknown[0] if unknown else ''}'")
+        if self.motion_share is not None and not 0 < self.motion_share <= 1:
+            raise ConfigurationError(f"motion_share must lie in (0, 1], found {self.motion_share}")
         if self.sweep_folder is not None and not Path(self.sweep_folder).is_dir():
             raise ConfigurationError(f"sweep_folder must be there, found nothing at '{self.sweep_folder}'; give the folder that the sweep printed")
         if self.checkpoint is not None and not Path(self.checkpoint).is_file():

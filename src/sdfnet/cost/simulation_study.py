@@ -51,7 +51,7 @@ def simulation_time_study(scene: Scene, mesh: TetMesh, duration: float | None = 
         cost_label=f"integrator's set-up and steps for {part_words(part, scene)} (s)",
         points=tuple(point for points, _ in found for point in points),
         share_of_whole=part.recording.duration / scene.recording.duration,
-        notes=tuple(_notes(found, masses)),
+        notes=tuple(_notes(found, masses, part_words(part, scene))),
     )
 
 
@@ -149,8 +149,8 @@ def _reference_words(bases: Sequence[Plan]) -> str:
     return " or ".join(f"{words[exact]} ({mass})" for mass, exact in is_exact.items())
 
 
-def _notes(found: Sequence[tuple[list[Point], Displacements | None]], masses: Sequence[str]) -> Iterator[str]:
-    """The explicit integrators' fitted orders, their errors in parts of the motion, and how far the masses lie apart."""
+def _notes(found: Sequence[tuple[list[Point], Displacements | None]], masses: Sequence[str], studied: str) -> Iterator[str]:
+    """The explicit integrators' fitted orders, their errors in parts of the motion that was studied, and how far the masses lie apart."""
     for points, reference in found:
         for method in dict.fromkeys(point.method for point in points if point.method.startswith(EXPLICIT_WORDS)):
             series = [point for point in points if point.method == method and point.is_measured]
@@ -158,12 +158,12 @@ def _notes(found: Sequence[tuple[list[Point], Displacements | None]], masses: Se
                 continue
             errors, steps = [point.pair[0] for point in series], [point.counts["steps"] for point in series]
             order, motion = -np.polyfit(np.log(steps), np.log(errors), 1)[0], rms_mm(reference, np.zeros_like(reference))
-            yield f"{method}: order {order:.2f}, {100 * max(errors) / motion:.2g} % of the motion at the longest of these steps."
+            yield f"{method}: order {order:.2f}, {100 * max(errors) / motion:.2g} % of the RMS displacement at the longest of these steps."
     references = dict(zip(masses, [reference for _, reference in found], strict=True))
     lumped, consistent = references.get("lumped"), references.get("consistent")
     if lumped is not None and consistent is not None:
         apart = 100 * rms_mm(lumped, consistent) / rms_mm(consistent, np.zeros_like(consistent))
-        yield f"Lumped and consistent mass differ by {apart:.2g} % of the motion: that is the mesh speaking, not the step."
+        yield f"Lumped and consistent mass differ by {apart:.2g} % of the RMS displacement over {studied}: that is the mesh speaking, not the step."
 
 
 def _points_in_time(base: Plan, scene: Scene, quick: bool) -> tuple[list[Point], Displacements | None]:
