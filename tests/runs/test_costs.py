@@ -42,7 +42,7 @@ def page_of() -> Path:
 
 
 def test_asked_studies_make_one_page_with_their_tables(command: Command, capfd: pytest.CaptureFixture[str]) -> None:
-    command("cost", *SMALL, "studies=[distances,simulation_time]")
+    command("cost", *SMALL, "studies=[distances,simulation_time]", "motion_share=0.1")
     folder = page_of()
     with (folder / "points.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -65,9 +65,8 @@ def test_share_of_the_motion_that_is_run_is_the_one_that_was_asked_for(command: 
         return made("simulation_time")()
 
     monkeypatch.setattr(costs, "simulation_time_study", noted)
-    for words in ((), ("motion_share=0.7",)):
-        command("cost", *SMALL, "studies=[simulation_time]", *words)
-    assert durations == pytest.approx([0.2, 0.7])
+    command("cost", *SMALL, "studies=[simulation_time]", "motion_share=0.7")
+    assert durations == pytest.approx([0.7])
 
 
 def test_study_of_a_network_without_one_says_what_to_give(command: Command, capfd: pytest.CaptureFixture[str]) -> None:

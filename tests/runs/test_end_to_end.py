@@ -54,7 +54,7 @@ def test_a_run_leaves_what_the_readme_promises_and_evaluating_its_checkpoint_fin
     assert small["chamfer_l1_mm_mean"] != result["chamfer_l1_mm_mean"]
     assert small["chamfer_l1_mm_mean"] < 2 * result["chamfer_l1_mm_mean"]
 
-    command("train", *SMOKE, "training.epochs=1", "split=interpolation", "evaluation.every=2")
+    command("train", *SMOKE, "training.epochs=3", "split=interpolation", "evaluation.every=2")
     assert "nothing to prepare" in (newest_result("train") / "train.log").read_text()
     split = json.loads((newest_result("train") / "result.json").read_text())
     assert split["unseen_frames"] < split["frames"]

@@ -113,10 +113,10 @@ def test_table_is_written_also_when_what_runs_the_jobs_fails(command: Callable[.
 
 
 def test_what_a_sweep_no_longer_asks_for_is_named_and_not_counted(command: Callable[..., None], trained: list[str], capfd: pytest.CaptureFixture[str]) -> None:
-    command("train", *TINY, "model.width=8,12,16", "hydra.sweep.dir='a,b'", "-m")
-    assert (len(trained), "3 of 3 jobs finished" in capfd.readouterr().out) == (3, True)
+    command("train", *TINY, "model.width=8,12", "hydra.sweep.dir='a,b'", "-m")
+    assert (len(trained), "2 of 2 jobs finished" in capfd.readouterr().out) == (2, True)
     command("train", *TINY, "model.width=12,20", "hydra.sweep.dir='a,b'", "-m")
-    assert (len(trained), "2 of 2 jobs finished" in (out := capfd.readouterr().out)) == (4, True)  # 12 is found again
+    assert (len(trained), "2 of 2 jobs finished" in (out := capfd.readouterr().out)) == (3, True)  # 12 is found again
     assert "not counted, because this sweep does not ask for them: " in out
 
 
