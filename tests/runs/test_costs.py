@@ -33,7 +33,9 @@ def refused(*given: object, **more: object) -> Study:
 
 def made(name: str) -> Callable[..., Study]:
     """In place of a study that takes seconds."""
-    return lambda *given, **more: Study(name, name, name.title(), "error (mm)", "time (s)", (Point("quick", "as it comes", 0.1, Timing.of([1.0])),))
+    return lambda *given, **more: Study(
+        name, name, name.title(), "error (mm)", "time (s)", (Point("quick", "as it comes", 0.1, Timing.of([1.0]), is_default=True),)
+    )
 
 
 def page_of() -> Path:
@@ -41,7 +43,8 @@ def page_of() -> Path:
     return page.parent
 
 
-def test_asked_studies_make_one_page_with_their_tables(command: Command, capfd: pytest.CaptureFixture[str]) -> None:
+def test_asked_studies_make_one_page_with_their_tables(command: Command, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(costs, "distance_study", made("distances"))
     command("cost", *SMALL, "studies=[distances,simulation_time]", "motion_share=0.1")
     folder = page_of()
     with (folder / "points.csv").open() as file:
@@ -52,7 +55,7 @@ def test_asked_studies_make_one_page_with_their_tables(command: Command, capfd: 
     assert [study["name"] for study in found["studies"]] == ["simulation_time", "distances"]
     assert found["made_with"]["threads"] >= 1
     said = capfd.readouterr().out
-    assert "What signed distances cost" in said
+    assert "What the time step costs" in said
     assert "python train.py" not in said, "no whole is told of two of its three studies"
     assert "What accuracy costs: sphere_squeeze" in (folder / "report.html").read_text()
 
