@@ -31,6 +31,29 @@ def test_the_smallest_edge_is_found_wherever_it_is(pair: tuple[int, int]) -> Non
     assert TetMesh(nodes, oriented).smallest_edge == pytest.approx(np.sqrt(2), rel=1e-14)
 
 
+def test_a_tet_that_is_there_twice_is_refused_however_it_is_numbered() -> None:
+    mesh = Sphere(radius=0.3, cells=2).tet_mesh()
+    again = mesh.tets[[3, 7]][:, [1, 2, 0, 3]]  # turned about a corner: the same tet, the same orientation
+    with pytest.raises(GeometryError, match=rf"found 2 again, the first at index {len(mesh.tets)}, .* would count twice"):
+        TetMesh(mesh.nodes, np.vstack([mesh.tets, again]))
+    with pytest.raises(GeometryError, match="found 1 again, the first at index 1"):
+        TetMesh(UNIT, np.vstack([ONE, ONE]))
+
+
+def test_three_tets_on_one_face_are_refused() -> None:
+    nodes = np.vstack([UNIT, [[0.2, 0.2, -1.0], [0.3, 0.3, -0.5]]])
+    below = np.array([[0, 2, 1, 4], [0, 2, 1, 5]])
+    assert len(TetMesh(nodes, np.vstack([ONE, below[:1]])).boundary_faces) == 6
+    with pytest.raises(GeometryError, match=r"one tet or two, found 1 of more, the first about \(0\.3333, 0\.3333, 0\) m"):
+        TetMesh(nodes, np.vstack([ONE, below]))
+
+
+@pytest.mark.parametrize("number", [4, -1])
+def test_a_node_that_does_not_exist_is_named(number: int) -> None:
+    with pytest.raises(GeometryError, match=rf"four node numbers from 0 to 3, found rows of 4 from {min(0, number)} to {max(2, number)}"):
+        TetMesh(UNIT, np.array([[0, 1, 2, number]]))
+
+
 def test_the_boundary_is_closed_outward_and_encloses_the_tets() -> None:
     mesh = Sphere(radius=0.3, cells=4).tet_mesh()
     surface = mesh.surface()

@@ -243,6 +243,7 @@ def test_only_elements_that_lock_warn_of_it(make_box: MakeBox, caplog: pytest.Lo
             make_box([0, 1], [0, 1], [0, 1]),
         )
     assert ["quadratic tets lock" in message for message in caplog.messages] == ([True] if warns else [])
+    assert not any("P1_nodal_pressure" in message for message in caplog.messages)  # in bending it is far worse than what it would cure
 
 
 def test_an_absent_effect_is_never_called(cube: TetMesh, monkeypatch: pytest.MonkeyPatch) -> None:

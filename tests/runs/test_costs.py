@@ -135,7 +135,7 @@ def test_checkpoint_of_another_dataset_is_refused_before_anything_is_measured(co
         (("checkpoint=.",), "checkpoint must be a file, found a folder at '.'"),
         (("checkpoint=nowhere.ckpt",), "checkpoint must be a file, found nothing at 'nowhere.ckpt'"),
         (("motion_share=1.5",), "motion_share must lie in (0, 1], found 1.5"),
-        (("precision=8-bit",), "precision must be one of bf16-mixed, 32-true; found '8-bit'"),
+        (("precision=8-bit",), "precision must be one of auto, bf16-mixed, 32-true; found '8-bit'"),
         (("studies=[distances,queries]",), "studies=queries needs a network, found none; add training to studies"),
     ],
 )

@@ -14,6 +14,7 @@ from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.errors import ConfigurationError, TrainingError
 from sdfnet.models.networks import RECORD, load_networks
 from sdfnet.models.settings import ModelSettings
+from sdfnet.training.fitting import quickest_precision
 from sdfnet.training.losses import eikonal_loss, latent_norm_loss
 from sdfnet.training.module import SdfTraining
 from sdfnet.training.objective import EIKONAL_STRIDE, Objective
@@ -174,3 +175,21 @@ def test_a_negative_weight_is_refused(name: str) -> None:
     with pytest.raises(ConfigurationError, match=f"training.{name} must not be negative, found -1"):
         TrainingSettings(**{name: -1.0})  # type: ignore[arg-type]
     assert math.isfinite(getattr(TrainingSettings(), name))
+
+
+@pytest.mark.parametrize(
+    ("accelerator", "has_cuda", "has_tiles", "quickest"),
+    [
+        ("cpu", False, False, "32-true"),
+        ("cpu", False, True, "bf16-mixed"),
+        ("cpu", True, False, "32-true"),
+        ("auto", True, False, "bf16-mixed"),
+        ("auto", False, False, "32-true"),
+    ],
+)
+def test_quickest_precision_is_that_of_the_device_that_trains(
+    monkeypatch: pytest.MonkeyPatch, accelerator: str, has_cuda: bool, has_tiles: bool, quickest: str
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: has_cuda)
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": has_tiles})
+    assert quickest_precision(accelerator) == quickest

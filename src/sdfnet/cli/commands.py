@@ -30,7 +30,7 @@ from sdfnet.physics.advisor import lines as advice_lines
 from sdfnet.physics.plan import plan
 from sdfnet.physics.trajectory import Trajectory
 from sdfnet.training.checkpoints import TimedCheckpoint, save_checkpoint
-from sdfnet.training.fitting import keep_freed_memory, steps_need_no_workers
+from sdfnet.training.fitting import keep_freed_memory, quickest_precision, steps_need_no_workers
 from sdfnet.training.module import SdfTraining
 
 
@@ -129,7 +129,7 @@ def _trainer(settings: TrainSettings, output: Path, board: TensorBoardLogger, la
     return Trainer(
         accelerator=chosen.accelerator,
         devices=1,
-        precision=chosen.precision,  # type: ignore[arg-type]
+        precision=quickest_precision(chosen.accelerator) if chosen.precision == "auto" else chosen.precision,  # type: ignore[arg-type]
         max_epochs=settings.training.epochs,
         check_val_every_n_epoch=settings.training.validate_every,
         log_every_n_steps=1,

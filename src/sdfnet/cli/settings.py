@@ -17,7 +17,7 @@ from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 from sdfnet.verification import CASES
 
 ALL_CASES = "all"
-PRECISIONS = ("bf16-mixed", "32-true")
+PRECISIONS = ("auto", "bf16-mixed", "32-true")
 STUDIES = (
     "simulation_time",
     "simulation_space",
@@ -35,7 +35,7 @@ class TrainerSettings:
     """Where and how Lightning runs."""
 
     accelerator: str = "auto"  # auto, cpu or cuda
-    precision: str = "bf16-mixed"  # bf16-mixed or 32-true
+    precision: str = "auto"  # bf16-mixed, 32-true, or auto: whichever is quicker on this machine
     threads: int | None = None  # of PyTorch; none: all cores
     checkpoint_seconds: float = 60.0  # between checkpoints; one more is written at the end
     progress_bar: bool = True
@@ -114,7 +114,7 @@ class CostSettings:
     batch: BatchSettings = field(default_factory=BatchSettings)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     training: TrainingSettings = field(default_factory=TrainingSettings)
-    precision: str = "bf16-mixed"  # of trainings: bf16-mixed or 32-true
+    precision: str = "auto"  # of trainings, as trainer.precision of train.py
     studies: tuple[str, ...] = STUDIES
     quick: bool = False  # fewer points of each study
     motion_share: float | None = None  # of the scene's duration that simulation_time runs; none: a third, or a fifth when quick

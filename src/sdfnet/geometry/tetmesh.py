@@ -33,8 +33,9 @@ class TetMesh:
     """Nodes and tets of a solid at rest.
 
     Slivers are taken, however slender: the time step pays for them. Nodes at one place are taken with a warning, for
-    the solid is cracked there. Raises GeometryError when a tet is inverted or flat, or when a number is not finite: an
-    explicit step through such a mesh is never right.
+    the solid is cracked there. Raises GeometryError when a tet is inverted or flat, when one is there twice, when more
+    than two share a face, when one names a node that does not exist, or when a number is not finite: a step
+    through such a mesh is never right.
     """
 
     nodes: Float64[np.ndarray, "nodes 3"]  # m
@@ -45,11 +46,30 @@ class TetMesh:
             raise GeometryError("a tet mesh needs at least one tet, found none")
         if not np.isfinite(self.nodes).all():
             raise GeometryError(f"tet mesh nodes must be finite, found {int((~np.isfinite(self.nodes)).any(axis=1).sum())} that are not")
+        if self.tets.shape[1] != 4 or self.tets.min() < 0 or self.tets.max() >= len(self.nodes):
+            raise GeometryError(
+                f"tets must be rows of four node numbers from 0 to {len(self.nodes) - 1}, "
+                f"found rows of {self.tets.shape[1]} from {self.tets.min()} to {self.tets.max()}"
+            )
         bad = np.flatnonzero(self.volumes <= 0)
         if len(bad):
             raise GeometryError(
                 f"every tet must have positive volume, found {len(bad)} inverted or flat, the first at index {bad[0]}, "
                 f"{place_text(self._centroid(int(bad[0])))} m; mesh the solid again, or swap two corners of each inverted tet"
+            )
+        _, first = np.unique(np.sort(self.tets, axis=1), axis=0, return_index=True)
+        if len(first) < len(self.tets):
+            again = int(np.setdiff1d(np.arange(len(self.tets)), first)[0])
+            raise GeometryError(
+                f"every tet must be there once, found {len(self.tets) - len(first)} again, the first at index {again}, "
+                f"{place_text(self._centroid(again))} m; leave the repeated ones out, their stiffness and mass would count twice"
+            )
+        faces, _, uses = self._faces_once
+        crowded = faces[uses > 2]
+        if len(crowded):
+            raise GeometryError(
+                f"a face must belong to one tet or two, found {len(crowded)} of more, the first about "
+                f"{place_text(tuple(self.nodes[crowded[0]].mean(axis=0)))} m; mesh the solid again, tets overlap there"
             )
         used = np.unique(self.tets)
         near = used[near_points(self.nodes[used])]
@@ -99,9 +119,8 @@ class TetMesh:
     @cached_property
     def boundary_faces(self) -> Int64[np.ndarray, "faces 3"]:
         """The faces that belong to one tet only, as node indices, normals outward."""
-        faces = self.tets[:, TET_FACES].reshape(-1, 3)
-        _, first, uses = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-        return faces[np.sort(first[uses == 1])]
+        _, first, uses = self._faces_once
+        return self.tets[:, TET_FACES].reshape(-1, 3)[np.sort(first[uses == 1])]
 
     @cached_property
     def surface_nodes(self) -> Int64[np.ndarray, " vertices"]:
@@ -126,6 +145,12 @@ class TetMesh:
         content = hashlib.sha256(np.ascontiguousarray(self.nodes).tobytes())
         content.update(np.ascontiguousarray(self.tets).tobytes())
         return content.hexdigest()[:12]
+
+    @cached_property
+    def _faces_once(self) -> tuple[Int64[np.ndarray, "faces 3"], Int64[np.ndarray, " faces"], Int64[np.ndarray, " faces"]]:
+        """Each face as ascending node numbers, where it stands first among the faces of all tets, and in how many it is."""
+        faces, first, uses = np.unique(np.sort(self.tets[:, TET_FACES].reshape(-1, 3), axis=1), axis=0, return_index=True, return_counts=True)
+        return faces, first, uses
 
     def _centroid(self, index: int) -> tuple[float, float, float]:
         x, y, z = self.nodes[self.tets[index]].mean(axis=0)

@@ -222,8 +222,10 @@ def _warn_about_validity(scene: Scene, model: ElasticModel, demands: Demands) ->
     strain = demands.stress / float(np.min(model.material.youngs_modulus))
     if poisson_ratio > LOCKING_POISSON_RATIO[element]:
         kind, cure = "linear" if element == "P1" else "quadratic", "set solver.element=P1_nodal_pressure"
-        if not isinstance(model.material, Material):  # which that element refuses
-            cure = "set solver.element=P2" if element == "P1" else "lower the Poisson ratio"
+        if element == "P2":  # the other element would cost more in bending than it cures here
+            cure = "compare with a finer mesh, or lower the Poisson ratio"
+        elif not isinstance(model.material, Material):  # which that element refuses
+            cure = "set solver.element=P2"
         limit = LOCKING_POISSON_RATIO[element]
         logger.warning("Poisson ratio %.5g > %.3g: %s tets lock and the solid will look too stiff; %s", poisson_ratio, limit, kind, cure)
     if strain > LARGEST_LINEAR_STRAIN and not demands.replaces_elasticity:

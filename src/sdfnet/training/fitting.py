@@ -5,7 +5,9 @@ import platform
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Literal
 
+import torch
 from lightning import Trainer
 from lightning.pytorch.callbacks import Callback
 
@@ -26,7 +28,7 @@ def fit_quietly(
     validation_batches, every = (0, 1) if validate_every is None else (1, validate_every)
     trainer = Trainer(
         accelerator="cpu",
-        precision=precision,  # type: ignore[arg-type]
+        precision=quickest_precision("cpu") if precision == "auto" else precision,  # type: ignore[arg-type]
         max_epochs=epochs,
         limit_val_batches=validation_batches,
         check_val_every_n_epoch=every,
@@ -40,6 +42,15 @@ def fit_quietly(
     )
     with steps_need_no_workers():
         trainer.fit(module, datamodule=family)
+
+
+def quickest_precision(accelerator: str) -> Literal["bf16-mixed", "32-true"]:
+    """In which the default's steps are quickest on `accelerator` (auto, cpu or cuda): bf16 where the device multiplies it in tiles, else float32.
+
+    On two cores with AMX bf16 took 16 ms a step; on two without, 29 ms where float32 took 19.
+    """
+    is_on_gpu = accelerator != "cpu" and torch.cuda.is_available()
+    return "bf16-mixed" if is_on_gpu or torch.cpu.get_capabilities().get("amx_bf16", False) else "32-true"
 
 
 def keep_freed_memory() -> None:

@@ -10,6 +10,7 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.arrays import NodalStart
 from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
+from sdfnet.physics.effects.roles import Damping
 from sdfnet.physics.elasticity import assemble
 from sdfnet.physics.mass import LumpedMass
 from sdfnet.physics.modes import modes
@@ -28,6 +29,12 @@ def test_both_ratios_are_met_at_their_frequencies(ratios: tuple[float, float], f
     for ratio, frequency in zip(ratios, frequencies, strict=True):
         w = 2 * math.pi * frequency
         assert (effect.mass / w + effect.stiffness * w) / 2 == pytest.approx(ratio, rel=1e-12, abs=1e-15)
+
+
+def test_numbers_of_numpy_are_taken_as_natural_frequencies_are() -> None:
+    first, third = np.array([10.0, 40.0])
+    effect = RayleighDamping.from_ratios((0.02, 0.02), (first, third))
+    assert [bool(Damping(effect.mass, effect.stiffness)), bool(Damping(0 * first, 0 * third))] == [True, False]
 
 
 def test_a_mode_decays_with_its_ratio(make_box: MakeBox) -> None:

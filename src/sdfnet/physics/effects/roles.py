@@ -65,7 +65,7 @@ class Damping:
     stiffness: float = 0.0  # s
 
     def __bool__(self) -> bool:
-        return self.mass != 0 or self.stiffness != 0
+        return bool(self.mass != 0 or self.stiffness != 0)  # of NumPy's numbers too, as frequencies are
 
     def __add__(self, other: "Damping") -> "Damping":
         return Damping(self.mass + other.mass, self.stiffness + other.stiffness)
