@@ -43,24 +43,25 @@ def test_a_run_leaves_what_the_readme_promises_and_evaluating_its_checkpoint_fin
     assert network.volume == pytest.approx(truth.volume, rel=0.02)
     _check_board(folder)
 
-    command("evaluate", f"checkpoint={folder}/checkpoints/last.ckpt", *("evaluation." + one for one in SMOKE_EVALUATION))
+    command("evaluate", f"checkpoint={folder}/checkpoints/last.ckpt", NO_PICTURES, *("evaluation." + one for one in SMOKE_EVALUATION))
     again = json.loads((newest_result("evaluate") / "result.json").read_text())
     assert again["chamfer_l1_mm_mean"] == pytest.approx(result["chamfer_l1_mm_mean"], rel=1e-6)
 
-    command("evaluate", f"checkpoint={folder}/checkpoints/last.ckpt", "evaluation.storage=int8")
+    command("evaluate", f"checkpoint={folder}/checkpoints/last.ckpt", NO_PICTURES, "evaluation.storage=int8")
     small = json.loads((newest_result("evaluate") / "result.json").read_text())
     assert (result["storage"], small["storage"]) == ("float32", "int8")
     assert small["query_bytes"] < 0.4 * result["query_bytes"], "a quarter, and scales, biases and frequencies"
     assert small["chamfer_l1_mm_mean"] != result["chamfer_l1_mm_mean"]
     assert small["chamfer_l1_mm_mean"] < 2 * result["chamfer_l1_mm_mean"]
 
-    command("train", *SMOKE, "training.epochs=3", "split=interpolation", "evaluation.every=2")
+    command("train", *SMOKE, "training.epochs=3", "split=interpolation", "evaluation.every=2", NO_PICTURES)
     assert "nothing to prepare" in (newest_result("train") / "train.log").read_text()
     split = json.loads((newest_result("train") / "result.json").read_text())
     assert split["unseen_frames"] < split["frames"]
     assert split["unseen_chamfer_l1_mm_mean"] > 0
 
 
+NO_PICTURES = "evaluation.mesh_frames=[]"
 SMOKE_EVALUATION = ("resolution=32", "every=5", "surface_samples=8192", "volume_samples=20000", "volume_frames=1")
 
 
