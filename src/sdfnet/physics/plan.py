@@ -223,7 +223,7 @@ def _warn_about_validity(scene: Scene, model: ElasticModel, demands: Demands) ->
     if poisson_ratio > LOCKING_POISSON_RATIO[element]:
         kind, cure = "linear" if element == "P1" else "quadratic", "set solver.element=P1_nodal_pressure"
         if element == "P2":  # the other element would cost more in bending than it cures here
-            cure = "compare with a finer mesh, or lower the Poisson ratio"
+            cure = "lower the Poisson ratio, or compare with a finer mesh"
         elif not isinstance(model.material, Material):  # which that element refuses
             cure = "set solver.element=P2"
         limit = LOCKING_POISSON_RATIO[element]
