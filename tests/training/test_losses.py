@@ -35,11 +35,27 @@ def test_the_sdf_loss_is_the_mean_square_of_equation_3_averaged_over_the_pair_of
     assert float(sdf_loss(predicted, true)) == pytest.approx((first + second) / 2, rel=1e-7)
 
 
-def test_the_absolute_loss_with_focus_weighs_by_the_true_distance() -> None:
+def test_the_absolute_loss_with_focus_weighs_by_the_nearer_of_the_true_and_the_predicted_surface() -> None:
     predicted, true = torch.tensor([[1.0, -2.0]]), torch.tensor([[0.5, -4.0]])
     assert float(sdf_loss(predicted, true, power=1)) == pytest.approx((0.5 + 2) / 2, rel=1e-7)
-    assert float(sdf_loss(predicted, true, power=1, focus=2.0)) == pytest.approx((0.5 / 1.25 + 2 / 3) / 2, rel=1e-6)
+    assert float(sdf_loss(predicted, true, power=1, focus=2.0)) == pytest.approx((0.5 / 1.25 + 2 / 2) / 2, rel=1e-6)
     assert float(sdf_loss(predicted, true, power=1, unit=0.1)) == pytest.approx(10 * (0.5 + 2) / 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("true", [4.0, -4.0])
+def test_a_false_surface_far_from_the_true_one_counts_in_full(true: float) -> None:
+    distances = torch.tensor([[true]])
+    wrong_sign = -0.1 * distances
+    assert float(sdf_loss(wrong_sign, distances, power=1, focus=0.01)) == pytest.approx(4.4, rel=1e-6)
+    zero = 0 * distances
+    assert float(sdf_loss(zero, distances, power=1, focus=0.01)) == pytest.approx(4.0, rel=1e-6)
+
+
+def test_the_weight_of_the_focus_has_no_slope() -> None:
+    predicted, true = torch.tensor([[0.5]], requires_grad=True), torch.tensor([[1.0]])
+    sdf_loss(predicted, true, power=1, focus=0.5).backward()
+    assert predicted.grad is not None
+    assert float(predicted.grad) == pytest.approx(-1 / (1 + 0.5 / 0.5))
 
 
 def test_the_sdf_loss_is_float32_of_bf16_predictions() -> None:

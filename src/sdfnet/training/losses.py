@@ -17,12 +17,15 @@ def sdf_loss(
 ) -> Float32[Tensor, ""]:
     """Mean over shapes and points of |predicted - true|^power / weight; equations 2 and 3 with power 2 and no focus.
 
-    `focus` (m) divides each error by 1 + |d| / focus, so that what lies near the surface counts most; `unit` (m) is the
-    length in which errors are measured.
+    `focus` (m) divides each error by 1 + r / focus, so that what lies near a surface counts most. r is the smaller of the
+    true distance and the predicted one, the latter 0 where its sign is wrong: a surface that the network alone sees, far
+    from the true one, counts as much as the true one does. `unit` (m) is the length in which errors are measured.
     """
-    error = (predicted.float() - true) / unit
+    predicted = predicted.float()
+    error = (predicted - true) / unit
     if focus is not None:
-        error = error / (1 + true.abs() / focus)
+        nearest = torch.minimum(true.abs(), (predicted.detach() * true.sign()).clamp_min(0))
+        error = error / (1 + nearest / focus)
     return error.square().mean() if power == 2 else error.abs().mean()
 
 

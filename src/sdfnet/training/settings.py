@@ -39,7 +39,7 @@ class TrainingSettings:
     epochs: int = 592
     cycle: tuple[Phase, ...] = PAPER_CYCLE
     power: int = 2  # of the error in the loss: 2, as in equation 3, or 1
-    focus: float | None = None  # fraction of the diagonal D: errors are divided by 1 + |d| / (focus D); none: all count alike
+    focus: float | None = None  # fraction of the diagonal D: errors are divided by 1 + r / (focus D), see sdf_loss; none: all count alike
     latent_weight: float = 1.0  # factor on alpha_latent of equation 8; 0 leaves the latent loss out
     validate_every: int = 1  # epochs between looks at the validation loss
     eikonal_weight: float = 0.0  # of | |grad f| - 1 | in the loss, at every eighth point of a step, in float32 with any precision; 0 leaves it out
