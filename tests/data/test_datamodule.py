@@ -82,6 +82,24 @@ def test_frames_are_told_apart(folder: Path) -> None:
     assert float((distances[0] - distances[-1]).abs().max()) > 1e-4  # a thousand times the tolerance above
 
 
+def test_normals_come_where_they_are_asked_for_and_belong_to_their_vertices(folder: Path) -> None:
+    family = family_of(folder, SHARED)
+    batch = family.step(1, 2, 40)
+    assert family.step(1, 2).facing is None
+    assert batch.facing is not None
+    vertices, normals = batch.facing.vertices, batch.facing.normals
+    assert vertices.shape == normals.shape == (len(batch.frames), 40, 3)
+    torch.testing.assert_close(normals.norm(dim=-1), torch.ones(normals.shape[:2]))
+    for frame, some, outward in zip(batch.frames.tolist(), vertices, normals, strict=True):
+        outside = some + 1e-3 * outward
+        assert (signed_distance(outside, family.trajectory.surface(frame)) > 5e-4).all()
+    again, other = family.step(1, 2, 40).facing, family.step(1, 3, 40).facing
+    assert again is not None
+    assert other is not None
+    assert torch.equal(again.vertices, vertices)
+    assert not torch.equal(other.vertices, vertices)
+
+
 @BOTH
 def test_held_out_points_are_never_trained_on(folder: Path, settings: BatchSettings) -> None:
     family = family_of(folder, settings)

@@ -37,6 +37,17 @@ def test_a_smooth_surface_has_the_least_slope_between_points() -> None:
     assert measured_slopes(ball_values(0.5, 2.5)[None], GRID)[2] == SAFETY * LEAST[2]
 
 
+def test_a_thin_rod_on_a_ball_needs_no_slope_because_the_search_follows_it() -> None:
+    x, y, z = np.stack(np.meshgrid(*GRID.axes, indexing="ij"))
+    rod = np.maximum(np.hypot(x - GRID.axes[0][21], y - GRID.axes[1][21]) - 0.4 * GRID.spacing[0], np.abs(z) - 0.8)
+    values, alone = (np.minimum(ball, 3 * rod).astype(np.float32) for ball in (ball_values(0.5, 1.0), np.full_like(RADII, np.inf)))
+    slopes = measured_slopes(values[None], GRID)
+    assert slopes[2] == SAFETY * LEAST[2]
+    assert measured_slopes(alone[None], GRID)[2] > 2
+    found = sparse_values(lambda indices: values.reshape(-1)[indices], GRID, slopes)
+    np.testing.assert_array_equal(on_whole_grid(found, GRID) < 0, values < 0)
+
+
 def test_the_steepest_of_all_frames_counts_and_never_less_than_a_distance() -> None:
     frames = np.stack([ball_values(0.5, 0.3), ball_values(0.6, 1.7), ball_values(0.4, 1.2)])
     assert measured_slopes(frames, GRID) == measured_slopes(frames[1:2], GRID)

@@ -45,8 +45,10 @@ def test_absolute_errors_are_measured_in_hundredths_of_the_diagonal_and_fade_wit
     module = first_weights
     batch, diagonal = module._family.validation, module._family.trajectory.mesh.diagonal
     with torch.no_grad():
-        error = (module.networks(batch.shapes, batch.points) - batch.distances).abs() / (diagonal / 100)
-    weighed = error / (1 + batch.distances.abs() / (0.02 * diagonal))
+        predicted, true = module.networks(batch.shapes, batch.points), batch.distances
+    error = (predicted - true).abs() / (diagonal / 100)
+    nearest = torch.where(predicted * true > 0, torch.minimum(predicted.abs(), true.abs()), 0)
+    weighed = error / (1 + nearest / (0.02 * diagonal))
     training = TrainingSettings(epochs=1, cycle=BOTH, power=1, focus=0.02)
     run = start(PAIRS, training, OptimizerSettings(encoder_rate=1e-12, decoder_rate=1e-12)).fit()
     assert run.readings.of_epoch[0]["loss/validation_mean"] == pytest.approx(float(weighed.mean()), rel=1e-5)

@@ -15,7 +15,7 @@ from sdfnet.errors import ConfigurationError, TrainingError
 from sdfnet.models.networks import RECORD, load_networks
 from sdfnet.models.settings import ModelSettings
 from sdfnet.training.fitting import quickest_precision
-from sdfnet.training.losses import eikonal_loss, latent_norm_loss
+from sdfnet.training.losses import eikonal_loss, latent_norm_loss, normal_loss
 from sdfnet.training.module import SdfTraining
 from sdfnet.training.objective import EIKONAL_STRIDE, Objective
 from sdfnet.training.settings import TrainingSettings
@@ -61,7 +61,7 @@ def losses_of_steps(run: Run, rate: float) -> list[float]:
     networks, objective, losses = run.module.networks, run.module._objective, []
     optimizer = Adam(networks.parameters(), lr=rate)
     for step in range(STEPS):
-        batch = run.family.step(0, step)
+        batch = run.family.step(0, step, objective.normals_per_shape)
         with torch.autocast("cpu", dtype=torch.bfloat16):
             loss = objective.of_step(networks, networks.encoder(batch.shapes), batch, 0)
         optimizer.zero_grad()
@@ -82,7 +82,7 @@ def test_steps_with_the_eikonal_term_in_bf16_lower_the_loss(run_of: Callable[...
 def test_a_run_goes_on_bit_for_bit_and_its_networks_are_read_back(
     run_of: Callable[..., Run], equal: Callable[[Any, Any], bool], name: str, tmp_path: Path
 ) -> None:
-    training = TrainingSettings(epochs=3, cycle=BOTH, power=1, focus=0.05, eikonal_weight=0.1)
+    training = TrainingSettings(epochs=3, cycle=BOTH, power=1, focus=0.05, eikonal_weight=0.1, normal_weight=0.1)
     at = Before(lambda module, epoch, step: module.trainer.save_checkpoint(tmp_path / "latest.ckpt") if (epoch, step) == (1, 2) else None)
     whole = run_of(OPTIONS[name], training, callbacks=[at]).fit()
     whole.trainer.save_checkpoint(tmp_path / "last.ckpt")
@@ -122,24 +122,39 @@ def test_latents_of_frames_that_are_not_trained_on_are_learned_by_nobody(folder:
 
 @pytest.mark.parametrize("latents", ["encoder", "learned"])
 def test_the_loss_of_a_step_is_the_sum_of_its_terms_with_their_weights(run_of: Callable[..., Run], latents: str) -> None:
-    training = TrainingSettings(epochs=1, cycle=BOTH, power=1, latent_weight=0.0, eikonal_weight=0.3, latent_norm_weight=0.7)
+    training = TrainingSettings(epochs=1, cycle=BOTH, power=1, latent_weight=0.0, eikonal_weight=0.3, normal_weight=0.2, latent_norm_weight=0.7)
     module = run_of({"latents": latents, "activation": "silu"}, training).fit().module
-    batch, objective, networks = module._family.step(0, 0), Objective(training, 0.2), module.networks
+    objective, networks = Objective(training, 0.2), module.networks
+    batch = module._family.step(0, 0, objective.normals_per_shape)
+    assert batch.facing is not None
     vectors = networks.encoder(batch.shapes)
     slopes = networks.decoder.gradients(vectors, batch.points[::EIKONAL_STRIDE])
     expected = objective.of_distances(networks.decoder(vectors, batch.points), batch.distances) + 0.3 * eikonal_loss(slopes)
+    expected = expected + 0.2 * normal_loss(networks.decoder.gradients(vectors, batch.facing.vertices), batch.facing.normals)
     expected = expected + (0.7 * latent_norm_loss(vectors) if latents == "learned" else 0)
     assert float(objective.of_step(networks, vectors, batch, 0).detach()) == pytest.approx(float(expected.detach()), rel=1e-6)
 
 
 def test_the_eikonal_term_brings_the_gradients_to_one(run_of: Callable[..., Run]) -> None:
     errors = []
-    for weight in (0.0, 10.0):
+    for weight in (0.0, 100.0):
         run = run_of({"activation": "silu"}, TrainingSettings(cycle=BOTH, power=1, focus=0.05, latent_weight=0.0, eikonal_weight=weight))
         losses_of_steps(run, 0.01)
         networks, points = run.module.networks, run.family.validation.points
         errors.append(float(eikonal_loss(networks.decoder.gradients(networks.latents(run.family.shapes), points)).detach()))
     assert errors[1] < 0.1 * errors[0]
+
+
+def test_the_normal_term_turns_the_gradients_to_the_normals(run_of: Callable[..., Run]) -> None:
+    errors = []
+    for weight in (0.0, 30.0):
+        run = run_of({"activation": "silu"}, TrainingSettings(cycle=BOTH, power=1, focus=0.05, latent_weight=0.0, normal_weight=weight))
+        losses_of_steps(run, 0.01)
+        networks, unseen = run.module.networks, run.family.step(STEPS, 0, 500).facing
+        assert unseen is not None
+        latents = networks.latents(run.family.shapes)[run.family.step(STEPS, 0).frames]
+        errors.append(float(normal_loss(networks.decoder.gradients(latents, unseen.vertices), unseen.normals).detach()))
+    assert errors[1] < 0.6 * errors[0]
 
 
 def test_a_checkpoint_from_before_a_setting_existed_is_resumed_where_the_setting_has_its_default(run_of: Callable[..., Run], tmp_path: Path) -> None:
@@ -170,7 +185,7 @@ def test_terms_are_worth_what_their_formulas_say() -> None:
     assert float(latent_norm_loss(torch.tensor([[3.0, 4.0], [0.0, 1.0]]))) == pytest.approx(13, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["eikonal_weight", "latent_norm_weight"])
+@pytest.mark.parametrize("name", ["eikonal_weight", "normal_weight", "latent_norm_weight"])
 def test_a_negative_weight_is_refused(name: str) -> None:
     with pytest.raises(ConfigurationError, match=f"training.{name} must not be negative, found -1"):
         TrainingSettings(**{name: -1.0})  # type: ignore[arg-type]

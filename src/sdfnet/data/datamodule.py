@@ -24,6 +24,14 @@ from sdfnet.scene import Dataset
 
 
 @dataclass(frozen=True, eq=False)
+class Facing:
+    """Some vertices (m) of each shape and the unit normals there."""
+
+    vertices: Float32[Tensor, "frames drawn 3"]
+    normals: Float32[Tensor, "frames drawn 3"]
+
+
+@dataclass(frozen=True, eq=False)
 class Batch:
     """One training step: some shapes, and distances (m) at points that they share or that each has for itself."""
 
@@ -31,6 +39,7 @@ class Batch:
     shapes: Float32[Tensor, "frames vertices 3"]
     points: Float32[Tensor, "points 3"] | Float32[Tensor, "frames points 3"]
     distances: Float32[Tensor, "frames points"]
+    facing: Facing | None = None  # where it was asked for
 
 
 class ShapeFamily(LightningDataModule):
@@ -97,8 +106,8 @@ class ShapeFamily(LightningDataModule):
         """Move every tensor that training reads to a device."""
         self._tensors = {name: values.to(device) for name, values in self._tensors.items()}
 
-    def step(self, epoch: int, step: int) -> Batch:
-        """The batch of a step, the same whenever it is asked for."""
+    def step(self, epoch: int, step: int, normals_per_shape: int = 0) -> Batch:
+        """The batch of a step, the same whenever it is asked for; with so many vertices of each shape and the normals there, if any."""
         settings, count = self.batch, len(self.train_frames)
         places = frames_of_step(count, epoch, step, settings.frames_per_step, settings.stride, settings.ordered_epochs, self.seed)
         frames = torch.from_numpy(self.train_frames[places])
@@ -106,7 +115,9 @@ class ShapeFamily(LightningDataModule):
             points, distances = self._own_points(frames)
         else:
             points, distances = self._drawn_points(frames, settings.points_per_step, epoch, step)
-        return Batch(frames, self.shapes.index_select(0, frames.to(self.shapes.device)), points, distances)
+        shapes = self.shapes.index_select(0, frames.to(self.shapes.device))
+        facing = self._drawn_normals(frames, shapes, normals_per_shape, epoch, step) if normals_per_shape else None
+        return Batch(frames, shapes, points, distances, facing)
 
     def train_dataloader(self) -> DataLoader:
         """The step numbers of an epoch; the LightningModule asks `step` for their content."""
@@ -175,6 +186,14 @@ class ShapeFamily(LightningDataModule):
                 points.append(pool.index_select(0, rows))  # copies whole rows: five times as fast as pool[rows]
                 distances.append(self._tensors[f"{name}_distances"].index_select(0, rows))
         return torch.cat(points), torch.cat(distances).index_select(1, frames.to(distances[0].device)).T
+
+    def _drawn_normals(self, frames: Tensor, shapes: Tensor, count: int, epoch: int, step: int) -> Facing:
+        if "normals" not in self._tensors:
+            self._tensors["normals"] = torch.from_numpy(self.trajectory.surface_normals.astype(np.float32)).to(shapes.device)
+        drawn = np.random.default_rng([self.seed, 6, epoch, step]).integers(0, shapes.shape[1], count)
+        vertices = torch.from_numpy(drawn).to(shapes.device)
+        normals = self._tensors["normals"].index_select(0, frames.to(shapes.device))
+        return Facing(shapes.index_select(1, vertices), normals.index_select(1, vertices))
 
 
 def split_frames(frames: int, split: str) -> Int64[np.ndarray, " train"]:

@@ -80,6 +80,16 @@ def reach_between(grid: Grid, shape: tuple[int, int, int]) -> Float32[np.ndarray
     return even_and_odd.take(np.arange(shape[0]) % 2, axis=0)
 
 
+def ends_of_cut_edges(is_inside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+    """The points that a neighbour on the other side of the surface has; the last point of a row is taken for a neighbour of the next row's first."""
+    inside, is_end = is_inside.reshape(-1), np.zeros(is_inside.size, bool)
+    for step in (1, is_inside.shape[2], is_inside.shape[1] * is_inside.shape[2]):
+        differs = inside[step:] != inside[:-step]
+        is_end[step:] |= differs
+        is_end[:-step] |= differs
+    return is_end.reshape(is_inside.shape)
+
+
 class _Points:
     """Every `step`-th point of a block of a grid, and what the field is known or thought to be there."""
 
@@ -144,7 +154,7 @@ def _block_about(coarse: _Points, is_kept: Bool[np.ndarray, "x y z"], slope: flo
     block = _Points(coarse.ask, coarse.grid, (x, y, z), 1, predicted, coarse.asked)
     block.is_asked[EVERY_SECOND] = coarse.is_asked[inner]
     is_close = ~(np.abs(predicted) > np.float32(slope + ROUNDING) * reach_between(coarse.grid, (planes, rows, columns)))
-    turned = block.require_all(is_close | _ends(predicted < 0))
+    turned = block.require_all(is_close | ends_of_cut_edges(predicted < 0))
     steps = np.array([1, -1, columns, -columns, rows * columns, -rows * columns])
     values, is_asked = block.values.reshape(-1), block.is_asked.reshape(-1)
     while len(turned):
@@ -175,13 +185,3 @@ def _points_of(blocks: Bool[np.ndarray, "x y z"], count: int) -> Bool[np.ndarray
     for axis in (2, 1, 0):
         blocks = blocks.take(below, axis) | blocks.take(above, axis)
     return blocks
-
-
-def _ends(is_inside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
-    """The points that a neighbour on the other side of the surface has; the last point of a row is taken for a neighbour of the next row's first."""
-    inside, is_end = is_inside.reshape(-1), np.zeros(is_inside.size, bool)
-    for step in (1, is_inside.shape[2], is_inside.shape[1] * is_inside.shape[2]):
-        differs = inside[step:] != inside[:-step]
-        is_end[step:] |= differs
-        is_end[:-step] |= differs
-    return is_end.reshape(is_inside.shape)

@@ -58,6 +58,11 @@ class Trajectory:
         nodes = self.mesh.surface_nodes
         return self.mesh.nodes[nodes] + self.displacements[:, nodes]
 
+    @property
+    def surface_normals(self) -> Float64[np.ndarray, "frames vertices 3"]:
+        """Unit normals of the boundary at its vertices, outward, each the mean of its faces' weighted by their angles."""
+        return np.stack([self.surface(frame).as_trimesh().vertex_normals for frame in range(len(self.times))])
+
     def surface(self, frame: int) -> Surface:
         """The deformed boundary surface at a frame; its vertices are `mesh.surface_nodes`."""
         return self.mesh.surface(self.displacements[frame])

@@ -66,6 +66,11 @@ def eikonal_loss(gradients: Float32[Tensor, "frames points 3"]) -> Float32[Tenso
     return (torch.linalg.vector_norm(gradients, dim=-1) - 1).abs().mean()
 
 
+def normal_loss(gradients: Float32[Tensor, "frames points 3"], normals: Float32[Tensor, "frames points 3"]) -> Float32[Tensor, ""]:
+    """Mean of |grad f - n| on the surface, where a distance's gradient is the outward normal (Gropp et al. 2020, equation 2)."""
+    return torch.linalg.vector_norm(gradients - normals, dim=-1).mean()
+
+
 def _unit(vectors: Tensor) -> Tensor:
     # The root is taken of a clamped value, so that a zero vector has a zero gradient instead of NaN.
     length = vectors.square().sum(dim=-1, keepdim=True).clamp_min(SHORTEST_LATENT**2).sqrt()

@@ -151,7 +151,7 @@ class SdfTraining(LightningModule):
 
     def training_step(self, step: int, step_index: int) -> None:
         """One step of whichever networks train. Raises TrainingError when the loss or a gradient is not finite."""
-        batch, where = self._family.step(self.current_epoch, step_index), f"epoch {self.current_epoch}, step {step_index}"
+        batch, where = self._family.step(self.current_epoch, step_index, self._objective.normals_per_shape), f"epoch {self.current_epoch}, step {step_index}"
         phase = self.phase
         if self._optimizer.schedule != "plateau":
             self._set_decayed_rates(step_index)

@@ -7,10 +7,13 @@ from torch import Tensor
 
 from sdfnet.data.datamodule import Batch
 from sdfnet.models.networks import Networks
-from sdfnet.training.losses import alpha_latent, eikonal_loss, latent_loss, latent_norm_loss, sdf_loss
+from sdfnet.training.losses import alpha_latent, eikonal_loss, latent_loss, latent_norm_loss, normal_loss, sdf_loss
 from sdfnet.training.settings import TrainingSettings
 
-EIKONAL_STRIDE = 8  # the term looks at every eighth point of a step: a gradient of a gradient costs about ten times a distance
+# A gradient of a gradient costs about ten times a distance: the eikonal term looks at every eighth point of a step, the
+# term of normals at as many vertices of each shape, others at every step.
+EIKONAL_STRIDE = 8
+NORMALS_PER_SHAPE = 256
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,14 @@ class Objective:
             loss = loss + settings.latent_norm_weight * latent_norm_loss(latents)
         if settings.eikonal_weight > 0:
             loss = loss + settings.eikonal_weight * eikonal_loss(networks.decoder.gradients(latents, batch.points[..., ::EIKONAL_STRIDE, :]))
+        if batch.facing is not None:
+            loss = loss + settings.normal_weight * normal_loss(networks.decoder.gradients(latents, batch.facing.vertices), batch.facing.normals)
         return loss
+
+    @property
+    def normals_per_shape(self) -> int:
+        """Vertices of each shape at which a step wants to know the normal."""
+        return NORMALS_PER_SHAPE if self.settings.normal_weight > 0 else 0
 
     def of_distances(self, predicted: Float[Tensor, "frames points"], true: Float32[Tensor, "frames points"]) -> Float32[Tensor, ""]:
         """Absolute errors in hundredths of D, so that rates suit a solid of any size; squared ones in metres, as the paper's."""

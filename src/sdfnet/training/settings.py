@@ -43,6 +43,7 @@ class TrainingSettings:
     latent_weight: float = 1.0  # factor on alpha_latent of equation 8; 0 leaves the latent loss out
     validate_every: int = 1  # epochs between looks at the validation loss
     eikonal_weight: float = 0.0  # of | |grad f| - 1 | in the loss, at every eighth point of a step, in float32 with any precision; 0 leaves it out
+    normal_weight: float = 0.0  # of |grad f - n| at 256 vertices of each shape of a step, n the surface's normal; in float32 too; 0 leaves it out
     latent_norm_weight: float = 1e-4  # of the squared length of latents in the loss, with model.latents=learned only
     seconds: float | None = None  # after which training ends, if it is not through with its epochs; linear and cosine rates fall over them; none: no limit
 
@@ -55,7 +56,7 @@ class TrainingSettings:
             raise ConfigurationError(f"training.focus must be positive, found {self.focus}")
         if self.seconds is not None and not self.seconds > 0:
             raise ConfigurationError(f"training.seconds must be positive, found {self.seconds}")
-        for name in ("eikonal_weight", "latent_norm_weight"):
+        for name in ("eikonal_weight", "normal_weight", "latent_norm_weight"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"training.{name} must not be negative, found {getattr(self, name)}")
         for name in ("epochs", "validate_every"):
