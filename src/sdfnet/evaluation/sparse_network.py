@@ -63,7 +63,9 @@ class SparseReconstruction:
             return np.empty(0, np.float32)
         self._encode(indices[self._row[indices] < 0])
         rows = torch.from_numpy(_filled_up(self._row[indices]))
-        found = [self._decoder.from_encoded(latent[None], self._encoded.index_select(0, chunk))[0] for chunk in rows.split(CHUNK)]
+        from_latent = self._decoder.from_latent(latent[None])[:, None, :]
+        encoded = (self._encoded.index_select(0, chunk)[None] for chunk in rows.split(CHUNK))
+        found = [self._decoder.from_both(from_latent, points, in_place=True)[0] for points in encoded]
         return torch.cat(found)[: len(indices)].numpy()
 
     def _encode(self, new: np.ndarray) -> None:

@@ -62,11 +62,16 @@ class SdfCalculator(nn.Module):
 
     def from_encoded(self, latents: Float[Tensor, "frames latent"], encoded: Float[Tensor, "*batch width"]) -> Float32[Tensor, "frames points"]:
         """The rest of the network, from what `encoded` gives."""
-        from_latent = self.from_latent(latents)[:, None, :]
+        return self.from_both(self.from_latent(latents)[:, None, :], encoded)
+
+    def from_both(
+        self, from_latent: Float[Tensor, "frames 1 features"], encoded: Float[Tensor, "*batch width"], in_place: bool = False
+    ) -> Float32[Tensor, "frames points"]:
+        """The rest of the network, from what its two linear maps give of latents and points; `encoded` may be overwritten with `in_place`."""
         if self.is_modulated:
             outputs = modulated(encoded, from_latent, self._linear_layers, self.activation)
         else:
-            outputs = self.layers(self.activation(encoded + from_latent))
+            outputs = self.layers(self.activation(encoded.add_(from_latent) if in_place else encoded + from_latent))
         return outputs.squeeze(-1).float() * (OUTPUT_UNIT * self.half_side)
 
     def gradients(
