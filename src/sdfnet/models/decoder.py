@@ -5,7 +5,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from sdfnet.models.encodings import Encoding, FourierFeatures, IdentityEncoding, encoding_of
-from sdfnet.models.mlp import activation_of, mlp
+from sdfnet.models.mlp import ACTIVATION_MODULES, mlp
 from sdfnet.models.modulation import modulated
 from sdfnet.models.settings import ModelSettings
 from sdfnet.models.siren import initialise_siren
@@ -36,10 +36,11 @@ class SdfCalculator(nn.Module):
         widths = settings.decoder_widths
         self.from_point = nn.Linear(self.encoding.features, widths[0], bias=False)
         self.from_latent = nn.Linear(settings.latent, 2 * sum(widths) if self.is_modulated else widths[0])
-        self.activation = activation_of(settings.activation, settings.omega)
-        self.layers = mlp([*widths, 1], settings.activation, settings.omega)
+        self.activation = ACTIVATION_MODULES[settings.activation]()
+        self.layers = mlp([*widths, 1], settings.activation)
         if settings.activation == "siren":
-            initialise_siren(self.from_point, [self.from_latent, *self._linear_layers], settings.omega)
+            *hidden, last = self._linear_layers
+            initialise_siren(self.from_point, [self.from_latent, *hidden], last, settings.omega)
 
     def forward(
         self, latents: Float[Tensor, "frames latent"], points: Float32[Tensor, "points 3"] | Float32[Tensor, "frames points 3"]

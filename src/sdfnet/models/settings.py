@@ -25,7 +25,7 @@ class ModelSettings:
     frequencies: int = 64  # of the Fourier features; each gives a sine and a cosine
     frequency_scale: float | None = None  # their standard deviation, in radians per mean half side of the box, over pi; none: sqrt(frequencies) / 4
     include_input: bool = False  # the point itself and its distance from the box's centre beside the Fourier features
-    activation: str = "relu"  # relu, gelu, silu, sine (sin x) or siren (sin omega x, with its own first weights)
+    activation: str = "relu"  # relu, gelu, silu, sine (sin x) or siren (sin x, with first weights of its own)
     encoder_width: int | None = None  # of the Mesh Encoder's hidden layers; none: the same as width
     encoder_depth: int | None = None  # none: the same as depth
     grid_levels: int = 4  # of the hash grid; the dense grid has one
@@ -33,7 +33,7 @@ class ModelSettings:
     grid_growth: float = 1.5  # how many times finer each level of the hash grid is than the one before
     grid_features: int = 2  # learned numbers at each grid point of a level
     grid_table_size: int = 2048  # rows of a hash grid's level; one with fewer points has a row for each
-    omega: float = 30.0  # of siren, radians per unit of its input
+    omega: float = 30.0  # of siren: how fast its first waves are, radians per mean half side of the box (Sitzmann et al. 2020, section 3.2)
     conditioning: str = "first_layer"  # first_layer: the latent enters the first layer; modulated: it scales and shifts every hidden layer
     latents: str = "encoder"  # encoder: the Mesh Encoder's; pod: coefficients of the first modes; learned: a free vector for each training frame
 

@@ -1,35 +1,26 @@
-"""Sine networks with the frequency and the first weights that make them learn (Sitzmann et al. 2020)."""
+"""The first weights that make a sine network learn (Sitzmann et al. 2020)."""
 
 import math
 from collections.abc import Iterable
 
 import torch
-from jaxtyping import Float
-from torch import Tensor, nn
-
-SIREN_OMEGA = 30.0  # section 3.2 there
-
-
-class Siren(nn.Module):
-    """sin(omega x). Of use only with `initialise_siren`; for coordinates as they are, not for a point that is encoded already."""
-
-    def __init__(self, omega: float = SIREN_OMEGA) -> None:
-        super().__init__()
-        self.omega = omega
-
-    def forward(self, values: Float[Tensor, "*batch features"]) -> Float[Tensor, "*batch features"]:
-        """Apply the sine."""
-        return torch.sin(self.omega * values)
+from torch import nn
 
 
 @torch.no_grad()
-def initialise_siren(first: nn.Linear, others: Iterable[nn.Linear], omega: float) -> None:
-    """Weights uniform within 1 / n in the first layer and within sqrt(6 / n) / omega in all others, n the layer's inputs.
+def initialise_siren(first: nn.Linear, hidden: Iterable[nn.Linear], last: nn.Linear, omega: float) -> None:
+    """The network of sines sin(omega (W x + b)) that their section 3.2 begins with, its omega multiplied into W and b.
 
-    Behind every hidden layer omega W x then has mean 0 and a deviation of about 1, whatever the depth (theorem 1.8 there). Biases
-    stay as PyTorch draws them, as in the authors' code: they only turn the phase.
+    Uniform within omega / n in the first layer, within sqrt(6 / n) in those behind it, and within sqrt(6 / n) / omega in
+    the last, which has no sine; n is the number of a layer's inputs. What enters every hidden sine then has mean 0 and a
+    deviation of about 1, whatever the depth (theorem 1.8 there). Biases are as PyTorch draws them, times omega: they only
+    turn the phase. With omega left outside, every step would turn the phases omega times as far as it changes the
+    weights, so that rates would have to be omega times as low as those of other networks.
     """
-    first.weight.uniform_(-1 / first.in_features, 1 / first.in_features)
-    for layer in others:
-        bound = math.sqrt(6 / layer.in_features) / omega
+    first.weight.uniform_(-omega / first.in_features, omega / first.in_features)
+    for layer in hidden:
+        bound = math.sqrt(6 / layer.in_features)
         layer.weight.uniform_(-bound, bound)
+        layer.bias.mul_(omega)
+    bound = math.sqrt(6 / last.in_features) / omega
+    last.weight.uniform_(-bound, bound)
