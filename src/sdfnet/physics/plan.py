@@ -174,7 +174,7 @@ def plan(scene: Scene, mesh: TetMesh) -> Plan:
     outside linear elasticity, where the elements lock, and where nothing holds or loads the solid.
     """
     inclusions = {name: (effect.tets(mesh), effect.material) for name, effect in scene.effects.items() if isinstance(effect, ChangesMaterial)}
-    model = assemble(mesh, with_inclusions(mesh, scene.material, inclusions), scene.solver.element)
+    model = assemble(mesh, with_inclusions(mesh, scene.material, inclusions), scene.solver.element, scene.solver.mass)
     demands = demands_of(scene, model)
     _warn_about_validity(scene, model, demands)
     is_explicit = INTEGRATORS[scene.solver.integrator].is_explicit

@@ -7,13 +7,16 @@ import numpy as np
 from sdfnet.errors import ConfigurationError
 from sdfnet.physics.effects.history import History
 from sdfnet.physics.effects.roles import AddsLoad, Load
-from sdfnet.physics.elasticity import ElasticModel, body_force
-from sdfnet.physics.materials import per_tet
+from sdfnet.physics.elasticity import ElasticModel
 
 
 @dataclass(frozen=True)
 class Gravity(AddsLoad):
-    """f = rho g in N/m^3 on every part of the volume, rho the material's density and g `acceleration` in m/s^2.
+    """f = M g in N, M the mass that `solver.mass` names and g `acceleration` in m/s^2: in sum rho g on every m^3 of the volume.
+
+    So a free solid falls without deforming, whatever its elements and mass. With the consistent mass, and with linear
+    tets, M g is the integral of rho g v. The lumped mass of quadratic tets takes other shares than that integral, which
+    would make them quiver as they fall; a static solution has no mass and takes the integral (see `static_solution`).
 
     For a solid that sags, hangs or falls: where rho g L, L its extent along g, is no small part of Young's modulus or of
     the other loads' pressure. Switched on at time 0 it makes the solid swing to twice its sag; a `history` that rises
@@ -30,7 +33,7 @@ class Gravity(AddsLoad):
     def load(self, model: ElasticModel) -> Load:
         """The nodal force, with the weight in N and rho g L in Pa, the stress under a column as long as the solid."""
         acceleration = np.asarray(self.acceleration, dtype=np.float64)
-        nodal_force = body_force(model.elements, per_tet(model.material.density, 1) * acceleration)
+        nodal_force = model.nodal_mass[:, None] * acceleration
         # g times the extent along g, so that no direction is needed where g is zero.
         potential = float(np.ptp(model.mesh.nodes @ acceleration))
         stress = float(np.max(model.material.density)) * potential

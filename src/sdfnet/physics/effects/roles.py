@@ -54,7 +54,7 @@ class AddsLoad(Effect, ABC):
 
     @abstractmethod
     def load(self, model: ElasticModel) -> Load:
-        """The nodal force. Raises PhysicsError when it would act on nothing."""
+        """The nodal force; one in proportion to the mass goes by `model.nodal_mass`. Raises PhysicsError when it would act on nothing."""
 
 
 @dataclass(frozen=True)
