@@ -1,5 +1,6 @@
 """The equation of motion that a scene comes to: what the integrators integrate."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +13,8 @@ from torch import Tensor
 from sdfnet.physics.effects.history import History
 from sdfnet.physics.effects.roles import Damping, ForceLaw
 from sdfnet.physics.mass import Mass
+
+TICK_ULPS = 4  # units in the last place: times so near are one, and pieces of a regular table so many ticks or one more, a few lengths in all
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +56,26 @@ class EquationOfMotion:
     free: Int64[np.ndarray, " dofs"]  # which of the 3 * nodes components are free
     n_nodes: int
 
-    def force_at(self, time: float) -> Float64[np.ndarray, "dofs columns"]:
-        """All loads that do not follow the state, N."""
+    def force_of(self, factors: Sequence[float]) -> Float64[np.ndarray, "dofs columns"]:
+        """All loads that do not follow the state, N, with so much of each timed one."""
         force = self.constant_force
-        for load in self.timed_loads:
-            force = force + load.history.factor(time) * load.force
+        for factor, load in zip(factors, self.timed_loads, strict=True):
+            force = force + factor * load.force
         return force
+
+    def straight_pieces(self, start: float, span: float) -> Iterator[tuple[float, list[float], list[float]]]:
+        """A span of time cut where a timed load bends: how long each piece takes (s), and the factors at its beginning and its end."""
+        histories, end = [load.history for load in self.timed_loads], start + span
+        bends = [bend for history in histories for bend in history.bends(start, end)]
+        if not bends:
+            yield span, [history.factor(start) for history in histories], [history.factor(end) for history in histories]
+            return
+        tick = TICK_ULPS * np.spacing(end)
+        cuts = np.unique(np.rint(np.array([start, *bends, end]) / tick)) * tick
+        for begin, length in zip(cuts[:-1], np.diff(cuts), strict=True):
+            # From within, because a rise that takes less than a tick is a jump at one of the ends.
+            early, late = (np.array([history.factor(begin + share * length) for history in histories]) for share in (0.25, 0.75))
+            yield float(length), list(1.5 * early - 0.5 * late), list(1.5 * late - 0.5 * early)
 
     def energy(self, displacement: Float64[np.ndarray, "dofs columns"], velocity: Float64[np.ndarray, "dofs columns"]) -> Float64[np.ndarray, " columns"]:
         """1/2 v'Mv + 1/2 u'Ku - f'u, with f the constant load, J: kept by the exact motion where only constant loads act."""

@@ -17,7 +17,7 @@ from sdfnet.physics.demands import Demands, demands_of
 from sdfnet.physics.effects.roles import ChangesMaterial, Report
 from sdfnet.physics.elasticity import ElasticModel, assemble
 from sdfnet.physics.energy_watch import EnergyWatch
-from sdfnet.physics.following_loads import following_loads, require_bearable
+from sdfnet.physics.following_loads import MOST_STEPS, following_loads
 from sdfnet.physics.integrators import INTEGRATORS, Integrator
 from sdfnet.physics.mass import mass_of
 from sdfnet.physics.materials import with_inclusions
@@ -30,8 +30,8 @@ logger = logging.getLogger(__name__)
 LARGEST_LINEAR_STRAIN = 0.1  # linear elasticity drops terms of the strain squared: above this they are ten percent of it
 LOCKING_POISSON_RATIO = {"P1": 0.45, "P1_nodal_pressure": 0.5, "P2": 0.499}  # above it the element is visibly too stiff
 ROUNDING = 1e-9  # relative: how far interval / step may be from a whole number and still count as one
+STEPS_PER_SEGMENT = 4  # of a load's history, that Newmark takes with time_step auto
 IMPLICIT_STEPS_PER_FRAME = 10  # of Newmark with time_step auto: what happens within a frame's interval is not asked for
-STEPS_PER_SEGMENT = 4  # of a load's history, which methods without a stability limit take for straight over a step
 TRIAL_SECONDS, FEWEST_TRIAL_STEPS = 0.5, 4  # of which the first half is thrown away: other libraries' idle threads still hold the cores then
 
 
@@ -177,10 +177,10 @@ def plan(scene: Scene, mesh: TetMesh) -> Plan:
     model = assemble(mesh, with_inclusions(mesh, scene.material, inclusions), scene.solver.element, scene.solver.mass)
     demands = demands_of(scene, model)
     _warn_about_validity(scene, model, demands)
-    is_explicit = INTEGRATORS[scene.solver.integrator].is_explicit
-    limits = step_limits(model, demands.fixed, demands.added_stiffness, demands.damping, demands.stable_fraction) if is_explicit else None
+    kind = INTEGRATORS[scene.solver.integrator]
+    limits = step_limits(model, demands.fixed, demands.added_stiffness, demands.damping, demands.stable_fraction) if kind.is_explicit else None
     count = _steps_per_frame(scene, demands, limits)
-    finer, load = following_loads(scene, demands, count)
+    finer, load = (count, "") if kind.is_exact_in_time else following_loads(scene, demands, count)
     return Plan(scene, model, demands, limits, finer, load)
 
 
@@ -205,16 +205,15 @@ def _longest_step(solver: Solver, limit: float) -> float:
 
 
 def _longest_unlimited_step(scene: Scene, demands: Demands) -> float:
-    """Of the given step or, for auto, a part of a frame's interval and of the shortest piece of a load's history."""
+    """Of the given step or, for auto, a part of a frame's interval and, where the method errs in time, of the shortest piece of a load's history."""
     if not isinstance(scene.solver.time_step, str):
         return scene.solver.time_step
     interval = scene.recording.duration / (scene.recording.frames - 1)
-    longest = interval / IMPLICIT_STEPS_PER_FRAME if scene.solver.integrator == "newmark" else interval
-    for name, load in (demands.loads | demands.case_loads).items():
-        if not load.history.is_constant:
-            longest = min(longest, float(np.diff(load.history.times).min()) / STEPS_PER_SEGMENT)
-            require_bearable(scene.recording.duration / longest, name)
-    return longest
+    if INTEGRATORS[scene.solver.integrator].is_exact_in_time:
+        return interval
+    histories = [load.history for load in (demands.loads | demands.case_loads).values() if not load.history.is_constant]
+    pieces = [float(np.diff(history.times).min()) / STEPS_PER_SEGMENT for history in histories]
+    return min([interval / IMPLICIT_STEPS_PER_FRAME, *(piece for piece in pieces if scene.recording.duration / piece <= MOST_STEPS)])
 
 
 def _warn_about_validity(scene: Scene, model: ElasticModel, demands: Demands) -> None:

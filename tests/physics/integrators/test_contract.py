@@ -25,6 +25,9 @@ DURATION = 0.08  # s, 0.4 of a period of the slowest mode
 STEPS = (160, 320, 640)  # the first is 0.17 of the stability limit with lumped mass, 0.32 with consistent mass
 LARGE_STEPS = (8, 40)  # for what is exact at any step
 RISING = History((0.0, DURATION / 2), (0.5, 1.0))  # from half the load: a load that begins at nothing would hide how a method starts
+JUMPING = History(  # it jumps, sinks and stops within steps, at the same place within them however many there are
+    (DURATION / 3, 1.0001 * DURATION / 3, 2 * DURATION / 3, 2.001 * DURATION / 3), (0.2, 1.0, -0.5, 0.6)
+)
 ORDERS = {"leapfrog": 2, "symplectic_euler": 1, "newmark": 2, "modal": None, "exact": None}  # None: exact in time
 EXACT = 1e-12  # relative; rounding came to 1e-13
 
@@ -43,6 +46,9 @@ CASES = {
     "constant load": Case(),
     "initial motion": Case(is_moving=True),
     "ramped load": Case("loads that change with time", {"history": RISING}),
+    "load that jumps within a step": Case("loads that change with time", {"history": JUMPING}),
+    "damped motion under a load that jumps": Case("damping", {"damping": Damping(mass=20.0, stiffness=2e-4), "history": JUMPING}, is_moving=True),
+    "consistent mass under a load that jumps": Case("a consistent mass", {"kind": "consistent", "history": JUMPING}),
     "damping": Case("damping", {"damping": Damping(mass=20.0, stiffness=2e-4)}),
     "damped motion under a ramp": Case("damping", {"damping": Damping(mass=20.0, stiffness=2e-4), "history": RISING}, is_moving=True),
     "consistent mass": Case("a consistent mass", {"kind": "consistent"}),
@@ -118,7 +124,7 @@ def test_the_motion_comes_to_the_exact_one_with_the_order_of_the_method(equation
         order = 1  # the damping force lags half a step
     fitted = -np.polyfit(np.log(STEPS), np.log(errors), 1)[0]
     assert fitted == pytest.approx(order, abs=0.2)  # NUMERICS
-    assert errors[-1] < (2e-3 if order == 1 else 2e-5)  # it is the exact motion that they come to
+    assert errors[-1] < (2e-3 if order == 1 else 5e-5)  # it is the exact motion that they come to
 
 
 @pytest.mark.parametrize(("name", "case"), SERVED)

@@ -95,7 +95,8 @@ class ReducedModel:
         inertia = np.eye(len(self.squared)) + h**2 / 4 * stiffest
         damping = acting.damping.mass + acting.damping.stiffness * self.squared + np.where(self.is_mode, 0.0, 2 * RADIATION * np.sqrt(self.squared))
         onward = np.linalg.inv(inertia + np.diag(h / 2 * damping))
-        load = self.load(acting.loads, h * np.arange(steps_per_frame * (len(times) - 1)))
+        ends = np.maximum(h * (np.arange(steps_per_frame * (len(times) - 1) + 1) - 0.5), 0.0)  # as leapfrog counts them: no impulse is lost
+        load = self._pushes(acting.loads, [load.history.means(ends) for load in acting.loads], len(ends) - 1)
         amplitude, rate = (self.shapes.T @ self.mass.product(values[:, None])[:, 0] for values in (acting.displacement, acting.velocity))
         result = np.zeros((len(times), len(amplitude)))
         result[0] = amplitude
@@ -111,9 +112,12 @@ class ReducedModel:
 
     def load(self, loads: Sequence[TimedLoad], times: Float64[np.ndarray, " times"]) -> Float64[np.ndarray, "times coordinates"]:
         """S'f at the times."""
-        result = np.zeros((len(times), len(self.squared)))
-        for load in loads:
-            result += np.outer(np.interp(times, load.history.times, load.history.values), self.shapes.T @ load.force[:, 0])
+        return self._pushes(loads, [np.interp(times, load.history.times, load.history.values) for load in loads], len(times))
+
+    def _pushes(self, loads: Sequence[TimedLoad], factors: Sequence[Float64[np.ndarray, " times"]], count: int) -> Float64[np.ndarray, "times coordinates"]:
+        result = np.zeros((count, len(self.squared)))
+        for load, strengths in zip(loads, factors, strict=True):
+            result += np.outer(strengths, self.shapes.T @ load.force[:, 0])
         return result
 
     def _pull(self, laws: Sequence[ReducedLaw], load: np.ndarray, amplitude: np.ndarray, time: float) -> np.ndarray:

@@ -1,9 +1,10 @@
 """How a load changes with time."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.integrate import trapezoid
+from jaxtyping import Float64
 
 from sdfnet.errors import ConfigurationError
 
@@ -28,20 +29,42 @@ class History:
 
     def factor(self, time: float) -> float:
         """The factor at a time (s)."""
-        return float(np.interp(time, self.times, self.values))
+        return float(np.interp(time, *self._table))
 
-    def missed_share(self, time_step: float, duration: float) -> float:
-        """How much of the load steps of a length (s) pass over until `duration` (s): integral of |factor - lines between its values at the steps| / |factor|.
+    def mean(self, start: float, end: float) -> float:
+        """The mean factor between two times (s), exactly: what a step of that length takes, so that no impulse is lost."""
+        cuts = np.array([start, *self.bends(start, end), end])
+        factors = np.interp(cuts, *self._table)
+        return float(np.diff(cuts) / (end - start) @ (factors[1:] + factors[:-1])) / 2
 
-        Only steps with a bend of the history within can miss anything.
+    def means(self, ends: Float64[np.ndarray, " ends"]) -> Float64[np.ndarray, " steps"]:
+        """The same for each step between rising times (s). Where nothing bends it is the factor in the middle."""
+        result = np.interp((ends[1:] + ends[:-1]) / 2, *self._table)
+        for step in np.unique(np.searchsorted(ends, self.bends(ends[0], ends[-1]), side="right") - 1):
+            result[step] = self.mean(ends[step], ends[step + 1])
+        return result
+
+    def bends(self, start: float, end: float) -> Float64[np.ndarray, " bends"]:
+        """The times of the table strictly between two times (s)."""
+        times = self._table[0]
+        return times[np.searchsorted(times, start, side="right") : np.searchsorted(times, end, side="left")]
+
+    def largest_miss(self, time_step: float, duration: float) -> float:
+        """How far lines between the factors at the steps come from the factor at worst until `duration` (s), over the largest factor.
+
+        Over one bend that is at most the change of slope times a quarter of the step (s). It is measured where the factor
+        bends, so a short blow counts as much in a long run as in a short one.
         """
-        bends = np.asarray(self.times)[(np.asarray(self.times) > 0) & (np.asarray(self.times) < duration)]
+        bends = self.bends(0.0, duration)
         first = np.floor(bends / time_step)
         seen = np.minimum(np.unique([0.0, *first, *(first + 1), np.inf]) * time_step, duration)
-        all_times = np.union1d(seen, bends)
-        factors, between = np.interp(all_times, self.times, self.values), np.interp(all_times, seen, np.interp(seen, self.times, self.values))
-        whole = float(trapezoid(np.abs(factors), all_times))
-        return float(trapezoid(np.abs(factors - between), all_times)) / whole if whole > 0 else 0.0
+        factors, between = np.interp(bends, *self._table), np.interp(bends, seen, np.interp(seen, *self._table))
+        largest = float(np.abs([*factors, self.factor(0.0), self.factor(duration)]).max())
+        return float(np.abs(factors - between).max(initial=0.0)) / largest if largest > 0 else 0.0
+
+    @cached_property
+    def _table(self) -> tuple[Float64[np.ndarray, " times"], Float64[np.ndarray, " times"]]:
+        return np.array(self.times, dtype=np.float64), np.array(self.values, dtype=np.float64)
 
 
 CONSTANT = History()

@@ -1,5 +1,6 @@
 """The exact solution in time, to rounding: functions of the stiffness as Chebyshev series. The reference for the others."""
 
+import functools
 import math
 from typing import final
 
@@ -15,6 +16,7 @@ from sdfnet.physics.motion import EquationOfMotion
 
 BOUND_MARGIN = 1.001  # Lanczos comes from below, and Chebyshev polynomials explode outside their interval
 LONGEST_STRIDE = 100.0  # omega_max t of one stride: (omega_max t)^3 / 6 times rounding is what it loses at most, 2e-11
+SERIES_KEPT = 64  # lengths of time whose series are kept: a regular table has a few, of an irregular one each comes once
 ROUNDING = 1e-16  # coefficients under it, relative to the largest, change nothing
 SMALL_ANGLE = 0.3  # under it (x - sin x) / x^3 comes from its series: four terms are exact to 1e-15
 
@@ -25,12 +27,13 @@ class Exact(Integrator):
 
     r0 is the acceleration and r1 the jerk at the beginning of a stride. The factors are entire functions of w^2; each
     becomes a Chebyshev series of about (omega_max t)/2 + 20 sparse products (Tal-Ezer and Kosloff 1984): on the bunny
-    about as many as leapfrog takes steps, with no error in time but rounding. Loads are straight lines over a step.
+    about as many as leapfrog takes steps, with no error in time but rounding. Strides end where a load over time bends.
     Not for long times: it pays for every wave, as leapfrog does. Not with damping (take modal with all modes, on a small
     mesh), with a consistent mass, or with forces that follow the state.
     """
 
     is_explicit = False
+    is_exact_in_time = True
     refuses = ("damping", "forces that follow the state", "a consistent mass")
 
     def __init__(self, motion: EquationOfMotion, time_step: float) -> None:
@@ -43,8 +46,9 @@ class Exact(Integrator):
         scaled = csr_matrix(diags(inverse) @ motion.stiffness)
         self._product = torch_csr(scaled)
         self._argument = torch_csr(csr_matrix(2 / self._bound * scaled - identity(len(inverse))))
-        self._steps_per_stride = max(1, int(LONGEST_STRIDE / (math.sqrt(self._bound) * time_step)))
-        self._series: dict[int, np.ndarray] = {}
+        self._longest = LONGEST_STRIDE / math.sqrt(self._bound)
+        self._steps_per_stride = max(1, int(self._longest / time_step))
+        self._series = functools.lru_cache(SERIES_KEPT)(functools.partial(_chebyshev_series, self._bound))
 
     def initial_state(self) -> State:
         """The initial state as it is given."""
@@ -53,37 +57,43 @@ class Exact(Integrator):
     def advance(self, state: State, steps: int) -> None:
         """Take so many steps, in place; many in one stride where no load changes with time."""
         while steps > 0:
-            stride = 1 if self.motion.timed_loads else min(steps, self._steps_per_stride)
-            self._stride(state, stride)
-            steps -= stride
+            together = 1 if self.motion.timed_loads else min(steps, self._steps_per_stride)
+            for span, first, last in self.motion.straight_pieces(state.step * self.time_step, together * self.time_step):
+                parts = max(1, math.ceil(span / self._longest))
+                for part in range(parts):
+                    begin, end = (self.motion.force_of(_between(first, last, share / parts)) for share in (part, part + 1))
+                    self._stride(state, span / parts, begin, end)
+            state.step += together
+            steps -= together
 
     def energy(self, state: State) -> Float64[np.ndarray, " columns"]:
         """1/2 v'Mv + 1/2 u'Ku - f'u, with f the constant load, J."""
         return self.motion.energy(state.displacement.numpy(), state.velocity.numpy())
 
-    def _stride(self, state: State, steps: int) -> None:
-        span = steps * self.time_step
-        first, last = (self._inverse_mass * torch.from_numpy(self.motion.force_at(step * self.time_step)) for step in (state.step, state.step + steps))
+    def _stride(self, state: State, span: float, begin: Float64[np.ndarray, "dofs columns"], end: Float64[np.ndarray, "dofs columns"]) -> None:
+        """So many seconds under a force that is a straight line from `begin` to `end`, N."""
+        first, last = (self._inverse_mass * torch.from_numpy(force) for force in (begin, end))
         acceleration = first - self._product @ state.displacement
         jerk = (last - first) / span - self._product @ state.velocity
-        of_position, of_velocity = self._applied(torch.cat([acceleration, jerk], dim=1), steps)
+        of_position, of_velocity = self._applied(torch.cat([acceleration, jerk], dim=1), self._series(span))
         state.displacement.add_(state.velocity, alpha=span).add_(of_position)
         state.velocity.add_(of_velocity)
-        state.step += steps
 
-    def _applied(self, block: torch.Tensor, steps: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """(k r0 + q r1, s r0 + k r1) for the block (r0, r1)."""
-        if steps not in self._series:
-            self._series[steps] = _chebyshev_series(self._bound, steps * self.time_step)
+    def _applied(self, block: torch.Tensor, series: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """(k r0 + q r1, s r0 + k r1) for the block (r0, r1), with the coefficients of the three."""
         columns = block.shape[1] // 2
         position, velocity = torch.zeros_like(block[:, :columns]), torch.zeros_like(block[:, :columns])
         before, now = block, torch.sparse.mm(self._argument, block)
-        for order, (k, q, s) in enumerate(self._series[steps]):
+        for order, (k, q, s) in enumerate(series):
             polynomial = before
-            before, now = now, torch.addmm(before, self._argument, now, beta=-1, alpha=2) if order + 2 < len(self._series[steps]) else now
+            before, now = now, torch.addmm(before, self._argument, now, beta=-1, alpha=2) if order + 2 < len(series) else now
             position.add_(polynomial[:, :columns], alpha=k).add_(polynomial[:, columns:], alpha=q)
             velocity.add_(polynomial[:, :columns], alpha=s).add_(polynomial[:, columns:], alpha=k)
         return position, velocity
+
+
+def _between(first: list[float], last: list[float], share: float) -> list[float]:
+    return [(1 - share) * one + share * other for one, other in zip(first, last, strict=True)]
 
 
 def _chebyshev_series(bound: float, span: float) -> np.ndarray:

@@ -21,6 +21,7 @@ class ExplicitIntegrator(Integrator):
 
     is_explicit = True
     velocity_lag = 0.5
+    kick_window: tuple[float, float]  # over which part of time, in steps from the step's, a kick takes the mean of a load: none is lost or counted twice
 
     def __init__(self, motion: EquationOfMotion, time_step: float, device: str = "cpu") -> None:
         super().__init__(motion, time_step)
@@ -119,7 +120,7 @@ class ExplicitIntegrator(Integrator):
         kinds = {"loads": self._timed, "laws": self._following}
         impulses = {kind: torch.zeros_like(self._load) for kind, present in kinds.items() if present}
         for history, force in self._timed:
-            impulses["loads"].add_(force, alpha=history.factor(time))
+            impulses["loads"].add_(force, alpha=history.mean(*self._window(state.step)))
         if self._following:
             nodal = motion.nodal(state.displacement)
         for law in self._following:
@@ -127,6 +128,11 @@ class ExplicitIntegrator(Integrator):
             driven += law.drive_work(followed, time - self.time_step / 2, time + self.time_step / 2) if law.is_driven else 0.0
             impulses["laws"].add_(motion.on_free(followed), alpha=self.time_step)
         return impulses, driven
+
+    def _window(self, step: int) -> tuple[float, float]:
+        """When the impulse of a step's kick comes, s; none comes before time 0."""
+        begin, end = self.kick_window
+        return max(step + begin, 0.0) * self.time_step, (step + end) * self.time_step
 
     def _push(self, state: State, before: Tensor, impulses: dict[str, Tensor], law: ConservingLaw, places: NodePlaces, mobility: Tensor) -> None:
         """Add what a law that looks a step ahead does to the new velocity and to the impulses, N s."""

@@ -31,6 +31,7 @@ class Integrator(ABC):
     """Steps an equation of motion through time with a fixed step (s)."""
 
     is_explicit: bool  # whether the step must stay under the stability limit
+    is_exact_in_time: bool = False  # whether it follows loads that are piecewise straight lines to rounding, at any step
     velocity_lag: float = 0.0  # how many steps the state's velocity is behind its displacement
     refuses: tuple[str, ...] = ()  # what it cannot do, in the words of `check`
 

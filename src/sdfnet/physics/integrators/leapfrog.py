@@ -12,7 +12,10 @@ class Leapfrog(ExplicitIntegrator):
 
     Stable for h <= 2 / omega_max, less with damping, whose force lags half a step and is first order. Not for stiff
     materials or slow motions: the step follows the smallest element and not the motion; take Newmark or modal there.
+    A load over time counts with its mean from half a step before to half a step after.
     """
+
+    kick_window = (-0.5, 0.5)
 
     def initial_state(self) -> State:
         """The velocity of half a step before time 0: v - h/2 a(0)."""

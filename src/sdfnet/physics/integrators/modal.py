@@ -1,5 +1,6 @@
 """Modal superposition: the slow modes exactly in time, the fast ones as if they followed the load at once."""
 
+import functools
 from typing import final
 
 import numpy as np
@@ -11,18 +12,21 @@ from sdfnet.physics.integrators.integrator import Integrator, State
 from sdfnet.physics.modes import ShiftedStiffness, modes
 from sdfnet.physics.motion import EquationOfMotion
 
+PROPAGATORS_KEPT = 64  # lengths of time whose exponentials are kept: a regular table has a few, of an irregular one each comes once
+
 
 @final
 class Modal(Integrator):
     """u = sum of s_k q_k + (K^-1 - sum of s_k s_k' / omega_k^2) f, q'' + 2 xi omega q' + omega^2 q = s'f (mode acceleration).
 
-    Exact in time for the modes kept, with Rayleigh damping and with loads that are straight lines over a step; with all
+    Exact in time for the modes kept, with Rayleigh damping and with loads over time, at whose bends strides end; with all
     modes it is the exact solution. The last term is the static correction: without it a load on a small patch would
     need hundreds of modes. Of an initial state only the part in the modes is kept. For long times, many load cases and
     slow motions. Not for waves and impacts, whose many fast modes are what one wants to see.
     """
 
     is_explicit = False
+    is_exact_in_time = True
     refuses = ("forces that follow the state",)
 
     def __init__(self, motion: EquationOfMotion, time_step: float, count: int) -> None:
@@ -38,7 +42,7 @@ class Modal(Integrator):
             np.zeros_like(force) if everything else self._without_modes(factor.solve(force) - self._shapes @ (weights[:, None] * modal))
             for force, modal in zip(forces, self._modal_forces, strict=True)
         ]
-        self._propagators: dict[int, np.ndarray] = {}
+        self._propagator = functools.lru_cache(PROPAGATORS_KEPT)(self._exponential)
 
     def initial_state(self) -> State:
         """The initial state as it is given."""
@@ -48,11 +52,13 @@ class Modal(Integrator):
 
     def advance(self, state: State, steps: int) -> None:
         """Take so many steps, in place; in one stride where no load changes with time."""
-        strides = [1] * steps if self.motion.timed_loads else [steps]
-        for stride in strides:
-            self._stride(state, stride)
+        together = [1] * steps if self.motion.timed_loads else [steps]
+        for several in together:
+            for span, first, last in self.motion.straight_pieces(state.step * self.time_step, several * self.time_step):
+                self._stride(state, span, [1.0, *first], [1.0, *last])
+            state.step += several
         amplitude, rate = (state.own[name].numpy() for name in ("amplitude", "rate"))
-        factors = self._factors(state.step)
+        factors = [1.0, *(load.history.factor(state.step * self.time_step) for load in self.motion.timed_loads)]
         state.displacement.numpy()[:] = self._shapes @ amplitude + sum(factor * part for factor, part in zip(factors, self._corrections, strict=True))
         state.velocity.numpy()[:] = self._shapes @ rate
 
@@ -62,28 +68,23 @@ class Modal(Integrator):
         stored = 0.5 * rate**2 + amplitude * (0.5 * self._squared[:, None] * amplitude - self._modal_forces[0])
         return stored.sum(axis=0)
 
-    def _stride(self, state: State, steps: int) -> None:
-        """q, q', s'f and its slope over so many steps: one 4 x 4 exponential a mode."""
-        span = steps * self.time_step
-        if steps not in self._propagators:
-            damping = self.motion.damping
-            generator = np.zeros((len(self._squared), 4, 4))
-            generator[:, 0, 1], generator[:, 1, 0], generator[:, 1, 2], generator[:, 2, 3] = 1, -self._squared, 1, 1
-            generator[:, 1, 1] = -(damping.mass + damping.stiffness * self._squared)
-            self._propagators[steps] = expm(span * generator)
+    def _stride(self, state: State, span: float, begin: list[float], end: list[float]) -> None:
+        """q and q' after so many seconds, while the factors on the forces go along straight lines."""
         amplitude, rate = (state.own[name].numpy() for name in ("amplitude", "rate"))
-        first, last = (
-            sum(factor * force for factor, force in zip(self._factors(step), self._modal_forces, strict=True)) for step in (state.step, state.step + steps)
-        )
+        first, last = (sum(factor * force for factor, force in zip(factors, self._modal_forces, strict=True)) for factors in (begin, end))
         before = np.stack([amplitude, rate, first, (last - first) / span], axis=1)  # (modes, 4, columns)
-        after = self._propagators[steps] @ before
+        after = self._propagator(span) @ before
         amplitude[:], rate[:] = after[:, 0], after[:, 1]
-        state.step += steps
+
+    def _exponential(self, span: float) -> Float64[np.ndarray, "modes 4 4"]:
+        """What takes q, q', s'f and its slope on by so many seconds: one 4 x 4 exponential a mode."""
+        damping = self.motion.damping
+        generator = np.zeros((len(self._squared), 4, 4))
+        generator[:, 0, 1], generator[:, 1, 0], generator[:, 1, 2], generator[:, 2, 3] = 1, -self._squared, 1, 1
+        generator[:, 1, 1] = -(damping.mass + damping.stiffness * self._squared)
+        return expm(span * generator)
 
     def _without_modes(self, displacement: Float64[np.ndarray, "dofs columns"]) -> Float64[np.ndarray, "dofs columns"]:
         """What is left of it outside the modes kept: of a free solid the nearly singular solve leaves a large rigid motion by rounding."""
         result: np.ndarray = displacement - self._shapes @ (self._shapes.T @ self.motion.mass.product(displacement))
         return result
-
-    def _factors(self, step: int) -> list[float]:
-        return [1.0, *(load.history.factor(step * self.time_step) for load in self.motion.timed_loads)]

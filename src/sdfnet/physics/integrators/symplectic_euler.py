@@ -12,7 +12,10 @@ class SymplecticEuler(ExplicitIntegrator):
 
     First order: its motion is leapfrog's, started half a step late. Stable for h <= 2 / omega_max, less with damping
     (see `stability`). Not to be preferred to leapfrog, which costs the same; here because it is the paper's.
+    A load over time counts with its mean over the step.
     """
+
+    kick_window = (0.0, 1.0)
 
     def initial_state(self) -> State:
         """The initial state as it is given, as if its velocity were that of half a step before."""
