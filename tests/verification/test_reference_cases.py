@@ -17,6 +17,8 @@ IN_NUMERICS = (
     "step_limit",
     "damping",
     "manufactured",
+    "free_fall",
+    "sudden_load",
     "units",
 )
 
