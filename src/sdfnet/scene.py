@@ -7,6 +7,7 @@ sets: a class derived from either, in any file, is a new kind of solid or a new 
 import math
 from dataclasses import dataclass, field
 
+from sdfnet.checked import Checked
 from sdfnet.errors import ConfigurationError
 
 SOLVER_CHOICES = {
@@ -17,17 +18,17 @@ SOLVER_CHOICES = {
 
 
 @dataclass(frozen=True)
-class Geometry:
+class Geometry(Checked):
     """A solid at rest. Derived classes say how it is made; `sdfnet.geometry` holds those that come with sdfnet."""
 
 
 @dataclass(frozen=True)
-class Effect:
+class Effect(Checked):
     """One thing that acts on the solid. What it needs from the simulator is said by the roles that it derives from."""
 
 
 @dataclass(frozen=True)
-class Material:
+class Material(Checked):
     """Isotropic linear elastic material (paper section 2)."""
 
     youngs_modulus: float = 5e3  # Pa
@@ -35,6 +36,7 @@ class Material:
     density: float = 1.0  # kg/m^3
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("youngs_modulus", "density"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
@@ -66,13 +68,14 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(Checked):
     """Which times are saved: `frames` of them, evenly from 0 to `duration`, the rest state first."""
 
     duration: float = 0.01  # s
     frames: int = 101
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.duration) and self.duration > 0):
             raise ConfigurationError(f"recording.duration must be positive and finite, found {self.duration} s")
         if self.frames < 2:
@@ -80,17 +83,18 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Solver:
+class Solver(Checked):
     """How the equation of motion is discretised in space and stepped through time."""
 
     integrator: str = "leapfrog"  # leapfrog: second order; symplectic_euler: the paper's; newmark, modal, exact: see sdfnet.physics.integrators
     mass: str = "lumped"  # lumped: no solve per step; consistent: the Galerkin form of the paper
     element: str = "P1"  # P1: linear tets, the paper's; P1_nodal_pressure: they do not lock near Poisson ratio 0.5; P2: quadratic
-    time_step: float | str = "auto"  # s; auto: the true stability limit times safety, or a part of a frame where nothing limits it
+    time_step: float | int | str = "auto"  # s; auto: the true stability limit times safety, or a part of a frame where nothing limits it
     safety: float = 0.9  # fraction of the stability limit that auto takes
     modes: int = 100  # how many modal keeps
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, allowed in SOLVER_CHOICES.items():
             if getattr(self, name) not in allowed:
                 raise ConfigurationError(f"solver.{name} must be one of {', '.join(allowed)}; found '{getattr(self, name)}'")
@@ -106,7 +110,7 @@ class Solver:
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(Checked):
     """A solid, its material, what acts on it, and which times are saved.
 
     With `load_cases`, each is a load that acts in turn beside the effects, all in one run: the shapes of all cases,
@@ -127,7 +131,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(Checked):
     """Where the distance is asked for (paper section 3), and a second set of points close to the surface.
 
     The paper's set: `count` points in the largest frame box scaled by `box_scale`, z drawn with density
@@ -149,22 +153,29 @@ class Sampling:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.broken_frames not in ("keep", "refuse"):
             raise ConfigurationError(f"sampling.broken_frames must be keep or refuse, found '{self.broken_frames}'")
         if self.count < 1 or self.near_surface_count < 0:
             raise ConfigurationError(f"sampling counts must be positive, found count={self.count}, near_surface_count={self.near_surface_count}")
         if not 0 < self.kept_share < 1:
             raise ConfigurationError(f"sampling.kept_share must lie in (0, 1), found {self.kept_share}")
-        if min(self.weight_outside, self.weight_inside) <= 0 or self.z_floor < 0 or self.z_exponent < 0 or self.near_surface_spread <= 0:
-            raise ConfigurationError("sampling weights and near_surface_spread must be positive, z_exponent and z_floor not negative")
-        if self.box_scale <= 1:
-            raise ConfigurationError(f"sampling.box_scale must exceed 1, found {self.box_scale}")
+        for name in ("weight_outside", "weight_inside", "near_surface_spread"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigurationError(f"sampling.{name} must be positive and finite, found {getattr(self, name)}")
+        for name in ("z_exponent", "z_floor"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigurationError(f"sampling.{name} must be finite and not negative, found {getattr(self, name)}")
+        if not math.isfinite(self.decay):
+            raise ConfigurationError(f"sampling.decay must be finite, found {self.decay}")
+        if not 1 < self.box_scale < math.inf:
+            raise ConfigurationError(f"sampling.box_scale must exceed 1 and be finite, found {self.box_scale}")
         if self.seed < 0:  # NumPy takes no negative one
             raise ConfigurationError(f"sampling.seed must not be negative, found {self.seed}")
 
 
 @dataclass(frozen=True)
-class Dataset:
+class Dataset(Checked):
     """A named recipe: a scene and how its distances are sampled."""
 
     scene: Scene

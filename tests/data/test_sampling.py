@@ -144,3 +144,21 @@ def test_the_inside_of_a_real_solid_is_favoured() -> None:
     distances = signed_distance(torch.from_numpy(points), mesh.surface()).numpy()[None]
     kept = keep_per_frame(distances, sampling)
     assert (distances[0, kept[0]] < 0).mean() > 1.5 * (distances < 0).mean()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"weight_inside": 0.0}, "sampling.weight_inside must be positive and finite, found 0.0"),
+        ({"near_surface_spread": np.nan}, "sampling.near_surface_spread must be positive and finite, found nan"),
+        ({"z_exponent": -1.0}, "sampling.z_exponent must be finite and not negative, found -1.0"),
+        ({"z_floor": np.nan}, "sampling.z_floor must be finite and not negative, found nan"),
+        ({"decay": np.nan}, "sampling.decay must be finite, found nan"),
+        ({"box_scale": np.inf}, "sampling.box_scale must exceed 1 and be finite, found inf"),
+        ({"kept_share": 1.0}, r"sampling.kept_share must lie in \(0, 1\), found 1.0"),
+        ({"count": 0}, "sampling counts must be positive, found count=0"),
+    ],
+)
+def test_a_sampling_that_cannot_be_is_refused(settings: dict[str, float], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        Sampling(**settings)  # type: ignore[arg-type]

@@ -1,14 +1,17 @@
 """Signed distance against libigl, on and about every kind of feature of a deforming bunny."""
 
+import inspect
+
 import igl
 import numpy as np
 import pytest
 import torch
 import trimesh
 
-from sdfnet.errors import GeometryError
+from sdfnet.errors import ConfigurationError, GeometryError
 from sdfnet.geometry.bunny import bunny_path, place
 from sdfnet.geometry.distance import SurfaceDistance, morton_order, signed_distance
+from sdfnet.geometry.solids import Sphere
 from sdfnet.geometry.surface import Surface, load_surface
 
 AGREEMENT = 1e-6  # m, what the project promises; float32 coordinates of a 0.25 m solid reach 2e-8
@@ -246,3 +249,24 @@ def test_morton_order_takes_a_flat_set_and_equal_points() -> None:
     flat[:, 0] = np.arange(10)[::-1]
     np.testing.assert_array_equal(morton_order(flat), np.arange(10)[::-1])
     np.testing.assert_array_equal(morton_order(np.zeros((4, 3), dtype=np.float32)), np.arange(4))
+
+
+def test_points_may_be_an_array_or_lists_and_need_three_columns() -> None:
+    distance = SurfaceDistance(Sphere(radius=1.0, cells=2).tet_mesh().surface())
+    ask = inspect.unwrap(SurfaceDistance.signed_distance)  # as users have it: the check of types is the tests' own
+    expected = distance.signed_distance(torch.tensor([[0.1, 0.2, 0.0]]))
+    for points in (np.array([[0.1, 0.2, 0.0]]), [[0.1, 0.2, 0.0]], torch.tensor([[0.1, 0.2, 0.0]], dtype=torch.float64)):
+        torch.testing.assert_close(ask(distance, points), expected)
+    with pytest.raises(GeometryError, match=r"points must have the shape \(points, 3\), found \(3,\); for a single point write \[\[x, y, z\]\]"):
+        ask(distance, np.zeros(3))
+
+
+def test_a_surface_deforms_into_as_many_vertices_as_it_has() -> None:
+    surface = Sphere(cells=2).tet_mesh().surface()
+    distance, deform = SurfaceDistance(surface), inspect.unwrap(SurfaceDistance.deform)
+    with pytest.raises(GeometryError, match=r"a surface that deforms keeps its 26 vertices, found 27; give those of Trajectory\.surface\(frame\)"):
+        distance.deform(np.zeros((27, 3)))
+    with pytest.raises(ConfigurationError, match=r"vertices must be an array \(vertices, 3\) of numbers, found an array \(5, 26, 3\) of float64"):
+        deform(distance, np.zeros((5, 26, 3)))
+    deform(distance, torch.from_numpy(2 * surface.vertices))
+    assert float(distance.signed_distance(torch.zeros(1, 3))) == pytest.approx(2 * float(SurfaceDistance(surface).signed_distance(torch.zeros(1, 3))), rel=1e-6)

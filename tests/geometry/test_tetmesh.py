@@ -50,7 +50,7 @@ def test_three_tets_on_one_face_are_refused() -> None:
 
 @pytest.mark.parametrize("number", [4, -1])
 def test_a_node_that_does_not_exist_is_named(number: int) -> None:
-    with pytest.raises(GeometryError, match=rf"four node numbers from 0 to 3, found rows of 4 from {min(0, number)} to {max(2, number)}"):
+    with pytest.raises(GeometryError, match=rf"four node numbers from 0 to 3, found numbers from {min(0, number)} to {max(2, number)}; count nodes"):
         TetMesh(UNIT, np.array([[0, 1, 2, number]]))
 
 

@@ -57,9 +57,9 @@ def test_the_encoder_can_have_a_size_of_its_own() -> None:
         ({"conditioning": "attention"}, "model.conditioning must be one of first_layer, modulated; found 'attention'"),
         ({"latents": "none"}, "model.latents must be one of encoder, pod, learned; found 'none'"),
         ({"grid_levels": 0}, "model.grid_levels must be at least 1, found 0"),
-        ({"grid_growth": 0.5}, "model.grid_growth must be at least 1, found 0.5"),
-        ({"omega": 0.0}, "model.omega must be positive, found 0.0"),
-        ({"frequency_scale": 0.0}, "model.frequency_scale must be positive, found 0.0"),
+        ({"grid_growth": 0.5}, "model.grid_growth must be at least 1 and finite, found 0.5"),
+        ({"omega": 0.0}, "model.omega must be positive and finite, found 0.0"),
+        ({"frequency_scale": 0.0}, "model.frequency_scale must be positive and finite, found 0.0"),
     ],
 )
 def test_a_size_that_cannot_be_is_refused_by_name(wrong: dict[str, int | float | str], message: str) -> None:

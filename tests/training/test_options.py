@@ -187,7 +187,7 @@ def test_terms_are_worth_what_their_formulas_say() -> None:
 
 @pytest.mark.parametrize("name", ["eikonal_weight", "normal_weight", "latent_norm_weight"])
 def test_a_negative_weight_is_refused(name: str) -> None:
-    with pytest.raises(ConfigurationError, match=f"training.{name} must not be negative, found -1"):
+    with pytest.raises(ConfigurationError, match=f"training.{name} must be finite and not negative, found -1"):
         TrainingSettings(**{name: -1.0})  # type: ignore[arg-type]
     assert math.isfinite(getattr(TrainingSettings(), name))
 

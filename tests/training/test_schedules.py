@@ -82,8 +82,8 @@ def test_the_default_optimizer_is_the_papers() -> None:
     [
         ({"name": "sgd"}, "optimizer.name must be one of adam, soap; found 'sgd'"),
         ({"schedule": "step"}, "optimizer.schedule must be one of plateau, linear, cosine; found 'step'"),
-        ({"decoder_rate": 0.0}, "optimizer.decoder_rate must be positive, found 0.0"),
-        ({"encoder_rate": float("nan")}, "optimizer.encoder_rate must be positive, found nan"),
+        ({"decoder_rate": 0.0}, "optimizer.decoder_rate must be positive and finite, found 0.0"),
+        ({"encoder_rate": float("nan")}, "optimizer.encoder_rate must be positive and finite, found nan"),
         ({"warmup": 1.0}, r"optimizer.warmup must lie in \[0, 1\), found 1.0"),
     ],
 )

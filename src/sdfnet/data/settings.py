@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
+from sdfnet.checked import Checked
 from sdfnet.errors import ConfigurationError
 
 SPLITS = ("all", "interpolation", "extrapolation")
 
 
 @dataclass(frozen=True)
-class BatchSettings:
+class BatchSettings(Checked):
     """What one training step sees. The defaults are the paper's: a pair of shapes, each with all the points that it kept."""
 
     frames_per_step: int = 2
@@ -20,6 +21,7 @@ class BatchSettings:
     validation_points: int = 4096  # held out of training, seen by every frame at validation
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.frames_per_step < 1 or self.stride < 1:
             raise ConfigurationError(f"batch.frames_per_step and stride must be at least 1, found {self.frames_per_step} and {self.stride}")
         for name in ("points_per_step", "steps_per_epoch", "validation_points"):

@@ -27,7 +27,8 @@ from jaxtyping import Float32, Float64, Int32
 from sdfnet.data.patient_file import PatientFile
 from sdfnet.data.sampling import SamplingBox
 from sdfnet.data.xdmf import show_frame, xdmf
-from sdfnet.errors import GeometryError, StoreError
+from sdfnet.declared import as_found
+from sdfnet.errors import ConfigurationError, GeometryError, StoreError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.trajectory import FrameChecks, Trajectory
 
@@ -64,8 +65,15 @@ def described(settings: Any) -> Any:
 
 def key_of(*parts: Any) -> str:
     """The short hash that names what is made from these settings and hashes."""
-    text = json.dumps([FORMAT_VERSION, *(described(part) for part in parts)], sort_keys=True)
+    text = json.dumps([FORMAT_VERSION, *(described(part) for part in parts)], sort_keys=True, default=_no_setting)
     return sha256(text.encode()).hexdigest()[:12]
+
+
+def _no_setting(value: Any) -> None:
+    raise ConfigurationError(
+        f"files are named by settings, which are numbers, texts, tuples and dataclasses, found {as_found(value, type(value))}; "
+        "choose nodes by a region that is a class of yours, or go from sdfnet.physics.simulate.simulate on in memory"
+    )
 
 
 def versions() -> dict[str, str]:

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from sdfnet.checked import Checked
 from sdfnet.data.store import DistanceSamples
 from sdfnet.errors import ConfigurationError, ReconstructionError
 from sdfnet.evaluation.baselines import NearestSample, nearest_sample_bytes
@@ -35,7 +36,7 @@ EIKONAL_POINTS = 20_000
 
 
 @dataclass(frozen=True)
-class EvaluationSettings:
+class EvaluationSettings(Checked):
     """What `evaluation.*` sets. The defaults are the paper's 100^3 grid and METRICS' sample counts."""
 
     resolution: int = 100  # grid points along each axis of the sampling box
@@ -47,6 +48,7 @@ class EvaluationSettings:
     storage: str = "float32"  # what decoder and latents are rounded to before they are measured: float32 (as trained), fp16 or int8
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.every < 1 or self.volume_frames < 1 or self.surface_samples < 1 or self.volume_samples < 1:
             raise ConfigurationError("evaluation.every, volume_frames, surface_samples and volume_samples must each be at least 1")
         if self.resolution < 2:

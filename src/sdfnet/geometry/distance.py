@@ -7,6 +7,7 @@ The bounding volume hierarchy is built once and refitted to each frame. The sign
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ import warp as wp
 from jaxtyping import Float32, Float64, Int32, Int64
 from torch import Tensor
 
+from sdfnet.checked import taken
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.distance_kernel import query_kernel
 from sdfnet.geometry.surface import Surface
@@ -65,6 +67,12 @@ class SurfaceDistance:
 
     def deform(self, vertices: Float64[np.ndarray, "vertices 3"]) -> None:
         """Move the surface to new vertex positions (m); the hierarchy is refitted, not rebuilt. Raises GeometryError when one is not finite."""
+        vertices = taken("vertices", vertices, Float64[np.ndarray, "vertices 3"])
+        if len(vertices) != self._mesh.points.size:
+            raise GeometryError(
+                f"a surface that deforms keeps its {self._mesh.points.size} vertices, found {len(vertices)}; "
+                "give those of Trajectory.surface(frame).vertices, and for another surface make another SurfaceDistance"
+            )
         _require_finite(vertices)
         self._mesh.points.assign((vertices - self._centre).astype(np.float32))
         self._mesh.refit()
@@ -76,6 +84,7 @@ class SurfaceDistance:
         `upper_bound` (m) is a distance that is known not to be exceeded, such as the last frame's plus the largest
         movement; it only makes the search faster. Points in Morton order (`morton_order`) are 1.4 times as fast.
         """
+        points = _as_points(points)
         bounds = torch.full((len(points),), torch.inf) if upper_bound is None else upper_bound * BOUND_MARGIN + self._rounding
         distances, faces = self._query(points, bounds)
         missed = int((faces < 0).sum())
@@ -85,6 +94,7 @@ class SurfaceDistance:
 
     def closest(self, points: Float32[Tensor, "points 3"], within: float) -> Closest:
         """The nearest triangle within a radius (m); where there is none the face is -1 and the distance is `within`."""
+        points = _as_points(points)
         distances, faces = self._query(points, torch.full((len(points),), within))
         normals = torch.from_numpy(self._face_normals.astype(np.float32))[faces.long().cpu()].to(points.device)
         return Closest(distances.abs(), normals, faces)
@@ -151,6 +161,14 @@ def morton_order(points: Float32[np.ndarray, "points 3"]) -> Int64[np.ndarray, "
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)
     return np.argsort(cells[:, 0] << np.uint32(2) | cells[:, 1] << np.uint32(1) | cells[:, 2], kind="stable")
+
+
+def _as_points(points: Any) -> Tensor:
+    """Points as PyTorch has them; arrays and lists are taken too."""
+    given = torch.as_tensor(points)
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise GeometryError(f"points must have the shape (points, 3), found {tuple(given.shape)}; for a single point write [[x, y, z]]")
+    return given
 
 
 def _require_finite(vertices: np.ndarray) -> None:

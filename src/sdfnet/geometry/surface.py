@@ -10,13 +10,14 @@ import trimesh
 from jaxtyping import Float64, Int64
 from scipy.spatial import cKDTree
 
+from sdfnet.checked import Checked
 from sdfnet.errors import GeometryError
 
 NEARNESS = 1e-9  # of the diagonal: nearer points are one, lower triangles have no area; a hundred times finer than float32 coordinates
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(Checked):
     """A triangle surface; normals point outward by the right-hand rule."""
 
     vertices: Float64[np.ndarray, "vertices 3"]  # m
@@ -67,7 +68,10 @@ def _read_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
         mesh = trimesh.load_mesh(path, process=False)
     except (ValueError, IndexError, KeyError, NotImplementedError, UnicodeDecodeError) as error:
-        raise GeometryError(f"'{path}' could not be read as a triangle surface: {error}") from error
+        raise GeometryError(
+            f"'{path}' could not be read: it must be a whole .obj, .ply, .stl or .off, found {path.stat().st_size} bytes that end early or are something else; "
+            "export it again, or give it the ending of its kind"
+        ) from error
     return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from sdfnet.checked import Checked
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.surface import Surface, near_points, place_text
 
@@ -29,7 +30,7 @@ class WorstTet:
 
 
 @dataclass(frozen=True, eq=False)
-class TetMesh:
+class TetMesh(Checked):
     """Nodes and tets of a solid at rest.
 
     Slivers are taken, however slender: the time step pays for them. Nodes at one place are taken with a warning, for
@@ -42,14 +43,15 @@ class TetMesh:
     tets: Int64[np.ndarray, "tets 4"]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.tets) == 0:
             raise GeometryError("a tet mesh needs at least one tet, found none")
         if not np.isfinite(self.nodes).all():
             raise GeometryError(f"tet mesh nodes must be finite, found {int((~np.isfinite(self.nodes)).any(axis=1).sum())} that are not")
-        if self.tets.shape[1] != 4 or self.tets.min() < 0 or self.tets.max() >= len(self.nodes):
+        if self.tets.min() < 0 or self.tets.max() >= len(self.nodes):
             raise GeometryError(
-                f"tets must be rows of four node numbers from 0 to {len(self.nodes) - 1}, "
-                f"found rows of {self.tets.shape[1]} from {self.tets.min()} to {self.tets.max()}"
+                f"tets must be rows of four node numbers from 0 to {len(self.nodes) - 1}, found numbers from {self.tets.min()} to {self.tets.max()}; "
+                "count nodes from 0, and drop no node that a tet names"
             )
         bad = np.flatnonzero(self.volumes <= 0)
         if len(bad):

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from sdfnet.checked import Checked
 from sdfnet.errors import ConfigurationError
 
 ENCODINGS = ("none", "fourier", "hash_grid", "dense_grid")
@@ -14,7 +15,7 @@ COUNTED = ("width", "depth", "latent", "frequencies", "grid_levels", "grid_resol
 
 
 @dataclass(frozen=True)
-class ModelSettings:
+class ModelSettings(Checked):
     """What `model.*` sets. The defaults are the paper's networks: 256-256-128 and a latent of 128, no encoding."""
 
     width: int = 256  # of the SDF Calculator's hidden layers
@@ -38,6 +39,7 @@ class ModelSettings:
     latents: str = "encoder"  # encoder: the Mesh Encoder's; pod: coefficients of the first modes; learned: a free vector for each training frame
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in COUNTED:
             if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise ConfigurationError(f"model.{name} must be at least 1, found {getattr(self, name)}")
@@ -45,10 +47,10 @@ class ModelSettings:
             if getattr(self, name) not in allowed:
                 raise ConfigurationError(f"model.{name} must be one of {', '.join(allowed)}; found '{getattr(self, name)}'")
         for name in ("frequency_scale", "omega"):
-            if getattr(self, name) is not None and getattr(self, name) <= 0:
-                raise ConfigurationError(f"model.{name} must be positive, found {getattr(self, name)}")
-        if self.grid_growth < 1:
-            raise ConfigurationError(f"model.grid_growth must be at least 1, found {self.grid_growth}")
+            if getattr(self, name) is not None and not 0 < getattr(self, name) < math.inf:
+                raise ConfigurationError(f"model.{name} must be positive and finite, found {getattr(self, name)}")
+        if not 1 <= self.grid_growth < math.inf:
+            raise ConfigurationError(f"model.grid_growth must be at least 1 and finite, found {self.grid_growth}")
 
     @property
     def fourier_scale(self) -> float:

@@ -8,6 +8,7 @@ from scipy.linalg import eigh
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
+from sdfnet.checked import taken
 from sdfnet.errors import ConfigurationError
 from sdfnet.physics.mass import ConsistentMass, Mass
 
@@ -50,7 +51,7 @@ def modes(stiffness: csr_matrix, mass: Mass, count: int, shifted: ShiftedStiffne
 
     `shifted` is a factor that the caller already has. Raises ConfigurationError for more modes than unknowns.
     """
-    size = stiffness.shape[0]
+    size, count = stiffness.shape[0], taken("the number of modes", count, int)
     if not 1 <= count <= size:
         raise ConfigurationError(f"the number of modes must lie between 1 and the {size} free degrees of freedom, found {count}")
     if size <= DENSE_SIZE or 2 * count > size:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy.sparse import csr_matrix
 
+from sdfnet.checked import taken
 from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.demands import Demands, demands_of
@@ -173,6 +174,7 @@ def plan(scene: Scene, mesh: TetMesh) -> Plan:
     can move; ConfigurationError for effects or methods that do not go together. Logs a warning where the scene lies
     outside linear elasticity, where the elements lock, and where nothing holds or loads the solid.
     """
+    scene, mesh = taken("the scene", scene, Scene), taken("the mesh, which for example Sphere().tet_mesh() makes,", mesh, TetMesh)
     inclusions = {name: (effect.tets(mesh), effect.material) for name, effect in scene.effects.items() if isinstance(effect, ChangesMaterial)}
     model = assemble(mesh, with_inclusions(mesh, scene.material, inclusions), scene.solver.element, scene.solver.mass)
     demands = demands_of(scene, model)

@@ -9,6 +9,7 @@ from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg, splu
 
+from sdfnet.checked import taken
 from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.physics.demands import demands_of
 from sdfnet.physics.motion import EquationOfMotion
@@ -61,7 +62,7 @@ def _weighed_by_integral(compiled: Plan) -> Plan:
 
 def require_linear(compiled: Plan, wanted: str) -> None:
     """Raise ConfigurationError when forces follow the state, so that no matrix describes the solid."""
-    if compiled.demands.laws:
+    if taken("what is solved, which plan(scene, mesh) makes,", compiled, Plan).demands.laws:
         raise ConfigurationError(f"{wanted} needs a linear scene, found the force law of '{next(iter(compiled.demands.laws))}'; remove that effect")
 
 

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
+from sdfnet.checked import Checked
 from sdfnet.errors import ConfigurationError
 
 TRAINS = ("both", "encoder", "decoder")
 
 
 @dataclass(frozen=True)
-class Phase:
+class Phase(Checked):
     """A stretch of epochs in which one network, or both, train: L(n) = max(1, epochs + growth n), n the phase's earlier occurrences."""
 
     trains: str  # both, encoder or decoder
@@ -16,6 +17,7 @@ class Phase:
     growth: int = 0  # epochs added each time that it occurs again; negative shortens it
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.trains not in TRAINS:
             raise ConfigurationError(f"a phase trains one of {', '.join(TRAINS)}; found '{self.trains}'")
         if self.epochs < 1:

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 
+from sdfnet.checked import Checked
 from sdfnet.errors import ConfigurationError, TrainingError
 
 
 @dataclass(frozen=True)
-class Plateau:
+class Plateau(Checked):
     """A plateau scheduler with the epochs in which it is listened to (paper section 4, Schedulers). Epochs count from 1, as in the paper."""
 
     first_epoch: int
@@ -20,6 +21,7 @@ class Plateau:
     factor: float  # what the rate is multiplied by
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.watches not in ("batch", "validation"):
             raise ConfigurationError(f"a plateau watches batch or validation, found '{self.watches}'")
         if self.patience < 0 or not 0 < self.factor < 1:

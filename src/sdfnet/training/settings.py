@@ -1,7 +1,9 @@
 """What `training.*` and `optimizer.*` set, with the checks that concern more than one of them."""
 
+import math
 from dataclasses import dataclass
 
+from sdfnet.checked import Checked
 from sdfnet.errors import ConfigurationError
 from sdfnet.models.settings import ModelSettings
 from sdfnet.training.cycle import PAPER_CYCLE, Phase
@@ -9,7 +11,7 @@ from sdfnet.training.schedules import PAPER_PLATEAUS, Plateau
 
 
 @dataclass(frozen=True)
-class OptimizerSettings:
+class OptimizerSettings(Checked):
     """Optimisers of the two networks and how their rates change. The defaults are the paper's (Adam is our reading: it names none)."""
 
     name: str = "adam"  # of the SDF Calculator: adam or soap (Vyas et al. 2024); the Mesh Encoder always has Adam
@@ -20,12 +22,13 @@ class OptimizerSettings:
     plateaus: tuple[Plateau, ...] = PAPER_PLATEAUS
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, allowed in (("name", ("adam", "soap")), ("schedule", ("plateau", "linear", "cosine"))):
             if getattr(self, name) not in allowed:
                 raise ConfigurationError(f"optimizer.{name} must be one of {', '.join(allowed)}; found '{getattr(self, name)}'")
         for name in ("encoder_rate", "decoder_rate"):
-            if not getattr(self, name) > 0:
-                raise ConfigurationError(f"optimizer.{name} must be positive, found {getattr(self, name)}")
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigurationError(f"optimizer.{name} must be positive and finite, found {getattr(self, name)}")
         if not 0 <= self.warmup < 1:
             raise ConfigurationError(f"optimizer.warmup must lie in [0, 1), found {self.warmup}")
         if self.warmup > 0 and self.schedule == "plateau":
@@ -33,7 +36,7 @@ class OptimizerSettings:
 
 
 @dataclass(frozen=True)
-class TrainingSettings:
+class TrainingSettings(Checked):
     """How long and on what the networks learn. The defaults are the paper's."""
 
     epochs: int = 592
@@ -48,17 +51,18 @@ class TrainingSettings:
     seconds: float | None = None  # after which training ends, if it is not through with its epochs; linear and cosine rates fall over them; none: no limit
 
     def __post_init__(self) -> None:
-        if not self.cycle or self.latent_weight < 0:
+        super().__post_init__()
+        if not self.cycle or not 0 <= self.latent_weight < math.inf:
             raise ConfigurationError(f"training.cycle needs a phase and latent_weight must not be negative, found {self.cycle} and {self.latent_weight}")
         if self.power not in (1, 2):
             raise ConfigurationError(f"training.power must be 1 or 2, found {self.power}")
-        if self.focus is not None and self.focus <= 0:
+        if self.focus is not None and not self.focus > 0:
             raise ConfigurationError(f"training.focus must be positive, found {self.focus}")
         if self.seconds is not None and not self.seconds > 0:
             raise ConfigurationError(f"training.seconds must be positive, found {self.seconds}")
         for name in ("eikonal_weight", "normal_weight", "latent_norm_weight"):
-            if getattr(self, name) < 0:
-                raise ConfigurationError(f"training.{name} must not be negative, found {getattr(self, name)}")
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigurationError(f"training.{name} must be finite and not negative, found {getattr(self, name)}")
         for name in ("epochs", "validate_every"):
             if getattr(self, name) < 1:
                 raise ConfigurationError(f"training.{name} must be at least 1, found {getattr(self, name)}")

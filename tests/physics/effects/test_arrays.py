@@ -5,11 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sdfnet.errors import PhysicsError
+from sdfnet.data.store import key_of
+from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.arrays import FixedComponents, NodalForce, NodalStart
 from sdfnet.physics.effects.history import ramp
 from sdfnet.physics.elasticity import ElasticModel, assemble
+from sdfnet.physics.regions import Where
 from sdfnet.scene import Effect, Material
 
 MakeBox = Callable[..., TetMesh]
@@ -83,3 +85,12 @@ def test_a_value_that_is_not_finite_is_refused_with_its_row(cube: ElasticModel) 
 def test_a_mask_that_holds_nothing_is_refused(cube: ElasticModel) -> None:
     with pytest.raises(PhysicsError, match="fixed_components.mask must hold at least one component, found none"):
         _ask(FixedComponents(np.zeros_like(cube.elements.nodes, dtype=np.bool_)), cube)
+
+
+def test_files_are_not_named_by_arrays() -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"files are named by settings, .*, found an array \(4, 3\) of float64; choose nodes by a region that is a class"
+    ):
+        key_of(NodalForce(np.ones((4, 3))))
+    with pytest.raises(ConfigurationError, match="found the function <lambda>; choose nodes by a region that is a class of yours, or go from"):
+        key_of(Where(lambda points: points[:, 0] < 0))

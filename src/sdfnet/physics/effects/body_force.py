@@ -22,6 +22,7 @@ class BodyForce(AddsLoad):
     history: History = field(default_factory=History)  # the factor on the density over time
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not np.isfinite(self.density).all():
             raise ConfigurationError(f"body_force.density must be finite, found {tuple(self.density)} N/m^3")
 

@@ -37,6 +37,7 @@ class FloorContact(FollowsState):
     stiffness_factor: float = 10.0  # 1: the floor gives way like a layer of the solid's own tets; more sinks in less
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not math.isfinite(self.height):
             raise ConfigurationError(f"floor.height must be finite, found {self.height} m")
         unit("floor.normal", self.normal)

@@ -27,6 +27,7 @@ class Gravity(AddsLoad):
     history: History = field(default_factory=History)  # the factor on the acceleration over time
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not np.isfinite(self.acceleration).all():
             raise ConfigurationError(f"gravity.acceleration must be finite, found {tuple(self.acceleration)} m/s^2")
 

@@ -6,17 +6,19 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
+from sdfnet.checked import Checked
 from sdfnet.errors import ConfigurationError
 
 
 @dataclass(frozen=True)
-class History:
+class History(Checked):
     """A factor on a load: straight lines between the given times, constant before the first and after the last."""
 
     times: tuple[float, ...] = (0.0,)  # s, rising
     values: tuple[float, ...] = (1.0,)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.times) != len(self.values) or not self.times:
             raise ConfigurationError(f"history.times and history.values must be equally many and not empty, found {len(self.times)} and {len(self.values)}")
         if not (np.isfinite(self.times).all() and np.isfinite(self.values).all()) or (np.diff(self.times) <= 0).any():

@@ -26,6 +26,7 @@ class InitialMotion(SetsStart):
     region: Region = field(default_factory=BoxRegion)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, unit in (("velocity", "m/s"), ("angular_velocity", "1/s"), ("center", "m")):
             value = getattr(self, name)
             if value is not None and not np.isfinite(value).all():

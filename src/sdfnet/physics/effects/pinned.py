@@ -25,6 +25,7 @@ class Pinned(ConstrainsNodes):
     boundary_only: bool = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not any(self.components):
             raise ConfigurationError("pinned.components must hold at least one of x, y, z, found none; remove the effect instead")
 

@@ -38,6 +38,7 @@ class PressurePoke(AddsLoad):
     history: History = field(default_factory=History)  # the factor on the pressure over time
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.radius) and self.radius > 0):
             raise ConfigurationError(f"poke.radius must be positive and finite, found {self.radius} m")
         if not math.isfinite(self.pressure):

@@ -30,6 +30,7 @@ class Prestrain(AddsLoad):
     history: History = field(default_factory=History)  # the factor on epsilon0 over time
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, unit in (("strain", ""), ("expansion_coefficient", " 1/K"), ("temperature_change", " K")):
             if not np.isfinite(getattr(self, name)).all():
                 raise ConfigurationError(f"prestrain.{name} must be finite, found {getattr(self, name)}{unit}")

@@ -21,6 +21,7 @@ class RayleighDamping(AddsDamping):
     stiffness: float = 0.0  # s
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, unit in (("mass", "1/s"), ("stiffness", "s")):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):

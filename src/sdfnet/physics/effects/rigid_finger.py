@@ -43,6 +43,7 @@ class RigidFinger(FollowsState):
     stiffness_factor: float = 10.0  # 1: the ball gives way like a layer of the solid's own tets; more gives way less and may need smaller steps
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not np.isfinite(self.center).all():
             raise ConfigurationError(f"finger.center must be finite, found {tuple(self.center)} m")
         if not (math.isfinite(self.radius) and self.radius > 0):

@@ -28,6 +28,7 @@ class Traction(AddsLoad):
     history: History = field(default_factory=History)  # the factor on both over time
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not np.isfinite(self.traction).all():
             raise ConfigurationError(f"traction.traction must be finite, found {tuple(self.traction)} Pa")
         if not math.isfinite(self.pressure):
