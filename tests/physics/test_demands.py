@@ -1,5 +1,6 @@
 """What effects ask of the simulator, put together role by role."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -17,6 +18,7 @@ from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
 from sdfnet.physics.effects.roles import AddsDamping, AddsLoad, ConstrainsNodes, Damping, ForceLaw, Load, ReplacesElasticity, SetsStart, Start
 from sdfnet.physics.elasticity import ElasticModel, assemble
 from sdfnet.physics.elements import FiniteElements
+from sdfnet.physics.regions import HalfSpace
 from sdfnet.scene import Effect, Geometry, Material, Scene
 
 MakeBox = Callable[..., TetMesh]
@@ -71,9 +73,10 @@ def asked(model: ElasticModel, **effects: Effect) -> Demands:
     return demands_of(Scene(Geometry(), effects), model)
 
 
-def test_an_effect_is_asked_once_for_each_of_its_roles(model: ElasticModel) -> None:
+def test_an_effect_is_asked_once_for_each_of_its_roles(model: ElasticModel, caplog: pytest.LogCaptureFixture) -> None:
     effect = Everything()
-    demands = asked(model, all=effect)
+    with caplog.at_level(logging.WARNING):
+        demands = asked(model, all=effect)
     assert sorted(effect.calls) == ["damping", "fixed_components", "load", "start"]
     assert demands.lines == [
         "all: Everything fixes 48 components of 16 nodes and adds a load over time from 0 to 0.1 s (size_N 3.5) "
@@ -83,6 +86,18 @@ def test_an_effect_is_asked_once_for_each_of_its_roles(model: ElasticModel) -> N
     assert (demands.damping, demands.stress, demands.moves) == (Damping(1.0, 2e-5), 2.0, True)
     np.testing.assert_array_equal(demands.start.velocity, np.where(demands.fixed, 0.0, 1.0))  # what is fixed does not move
     np.testing.assert_array_equal(demands.start.displacement, np.where(demands.fixed, 0.0, 0.1))
+    assert caplog.messages == [
+        "the scene starts 48 fixed components of 16 nodes with up to 0.1 m and 1 m/s: they stay where they are; start only what is free, or pin less"
+    ]
+
+
+def test_a_start_of_what_is_free_is_not_warned_of(model: ElasticModel, caplog: pytest.LogCaptureFixture) -> None:
+    throw = InitialMotion((1.0, 0.0, 0.0), region=HalfSpace((0.0, 0.0, 0.3), (0.0, 0.0, -1.0)))
+    with caplog.at_level(logging.WARNING):
+        assert asked(model, foot=Pinned(), throw=throw).start.velocity.any()
+        assert not caplog.messages
+        asked(model, roller=Pinned(components=(False, False, True)), throw=InitialMotion((1.0, 0.0, -2.0)))
+    assert caplog.messages[0].startswith("the scene starts 16 fixed components of 16 nodes with up to 0 m and 2 m/s")
 
 
 def test_damping_and_starts_of_several_effects_add_up(model: ElasticModel) -> None:

@@ -1,5 +1,6 @@
 """What the effects of a scene ask of the simulator, gathered role by role."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -23,6 +24,8 @@ from sdfnet.physics.effects.roles import (
 )
 from sdfnet.physics.elasticity import ElasticModel
 from sdfnet.scene import Effect, Scene
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -86,8 +89,7 @@ def demands_of(scene: Scene, model: ElasticModel) -> Demands:
         raise ConfigurationError(f"'{stresses[0]}' is a strain of the linear elastic force, which another effect replaces here; remove one of the two")
     _add_cases(demands, scene, model)
     _check_that_something_can_move(demands)
-    demands.start.displacement[demands.fixed] = 0.0
-    demands.start.velocity[demands.fixed] = 0.0
+    _hold_the_fixed(demands)
     return demands
 
 
@@ -177,6 +179,23 @@ def _check_that_something_can_move(demands: Demands) -> None:
     for name, load in (demands.loads | demands.case_loads).items():
         if load.nodal_force.any() and not load.nodal_force[~demands.fixed].any():
             raise PhysicsError(f"the load '{name}' must reach a node that is free to move, found it on fixed components only; move the load or pin less")
+
+
+def _hold_the_fixed(demands: Demands) -> None:
+    """Let what is fixed start at rest, and say what was asked of it."""
+    asked = [np.where(demands.fixed, values, 0.0) for values in (demands.start.displacement, demands.start.velocity)]
+    held = (asked[0] != 0) | (asked[1] != 0)
+    if held.any():
+        farthest, fastest = (float(np.abs(values).max()) for values in asked)
+        logger.warning(
+            "the scene starts %d fixed components of %d nodes with up to %.4g m and %.4g m/s: they stay where they are; start only what is free, or pin less",
+            held.sum(),
+            held.any(axis=1).sum(),
+            farthest,
+            fastest,
+        )
+        demands.start.displacement[demands.fixed] = 0.0
+        demands.start.velocity[demands.fixed] = 0.0
 
 
 def _short(value: float | int | str) -> str:

@@ -96,7 +96,7 @@ class SetsStart(Effect, ABC):
 
     @abstractmethod
     def start(self, model: ElasticModel) -> Start:
-        """The initial state. On fixed components it is ignored."""
+        """The initial state. On fixed components it is left out, with a warning."""
 
 
 class ForceLaw(ABC):
