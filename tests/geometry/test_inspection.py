@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from sdfnet.errors import GeometryError
-from sdfnet.geometry.inspection import Flaw, Inspection, inspection, require_closed
+from sdfnet.geometry.inspection import Flaw, Inspection, closed_outward, inspection, require_closed
 from sdfnet.geometry.surface import Surface
 
 UNIT_CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
@@ -88,6 +88,19 @@ def test_a_surface_turned_over_whole_is_refused_as_wound_inward() -> None:
         "1 face wound against its neighbours",
         "80 of 80 faces wound inward such as",
     ]
+
+
+def test_only_what_is_wound_inward_as_a_whole_and_sound_otherwise_is_turned_over() -> None:
+    surface = _surface(_ball())
+    assert closed_outward(surface, "ball") is surface
+    turned = closed_outward(Surface(surface.vertices, surface.faces[:, ::-1].copy()), "ball")
+    np.testing.assert_array_equal(turned.faces, surface.faces)
+    faces = surface.faces[:, ::-1].copy()
+    two = Surface(np.vstack([surface.vertices, surface.vertices + 1.0]), np.vstack([faces, faces + 42]))
+    filled = Surface(np.vstack([surface.vertices, 0.5 * surface.vertices]), np.vstack([surface.faces, surface.faces + 42]))
+    for flawed, flaw in ((two, "2 separate bodies"), (filled, "80 of 160 faces"), (Surface(surface.vertices, faces[1:]), "3 open edges")):
+        with pytest.raises(GeometryError, match=flaw):
+            closed_outward(flawed, "ball")
 
 
 def test_a_surface_that_crosses_itself_is_refused_with_count_and_places() -> None:

@@ -1,19 +1,22 @@
 """The solids that come with sdfnet."""
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
-from sdfnet.errors import GeometryError
+from sdfnet.errors import ConfigurationError, GeometryError
 from sdfnet.geometry.bunny import bunny_path
 from sdfnet.geometry.inspection import require_closed
 from sdfnet.geometry.solids import Box, ClosedSurface, Sphere, kuhn_grid
 from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.scene import Geometry
 
 
 @pytest.mark.parametrize("cells", [(1, 1, 1), (3, 2, 5)])
@@ -47,9 +50,23 @@ def test_a_grid_without_cells_is_refused(geometry: Box | Sphere) -> None:
         geometry.tet_mesh()
 
 
-def test_a_solid_without_extent_is_refused() -> None:
-    with pytest.raises(GeometryError, match="inverted or flat"):
-        Box(size=(1.0, 0.0, 1.0)).tet_mesh()
+@pytest.mark.parametrize(
+    ("kind", "settings", "message"),
+    [
+        (Box, {"size": (1.0, 0.0, 1.0)}, r"geometry.size must be positive and finite, found \(1.0, 0.0, 1.0\) m"),
+        (Sphere, {"radius": -0.05}, "geometry.radius must be positive and finite, found -0.05 m"),
+        (ClosedSurface, {"up_axis": "x"}, "geometry.up_axis must be one of y, z; found 'x'"),
+        (ClosedSurface, {"x_extent": 0.0}, "geometry.x_extent must be positive and finite, found 0.0 m; null keeps the size of the file"),
+        (ClosedSurface, {"x_extent": -1.0}, "geometry.x_extent must be positive"),
+        (ClosedSurface, {"foot_depth": math.nan}, "geometry.foot_depth must be finite, found nan m; null keeps the position of the file"),
+        (ClosedSurface, {"edge_length": -0.05}, r"geometry.edge_length must lie in \(0, 1\), a fraction of the bounding box diagonal, found -0.05"),
+        (ClosedSurface, {"envelope": 1.0}, r"geometry.envelope must lie in \(0, 1\)"),
+        (ClosedSurface, {"stop_energy": 3.0}, "geometry.stop_energy must exceed 3, that of regular tets, and be finite, found 3.0"),
+    ],
+)
+def test_a_solid_that_cannot_be_is_refused(kind: type[Geometry], settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        kind(**settings)
 
 
 def test_without_a_path_the_surface_is_the_bunny() -> None:
@@ -131,10 +148,8 @@ def _two_apart_one_turned_over() -> trimesh.Trimesh:
 @pytest.mark.parametrize(
     ("made", "flaw", "volume"),
     [
-        (_turned_over, "80 of 80 faces wound inward", 1.0),
         (_partly_turned, "7 faces wound against their neighbours", 1.0),
         (_two_that_cross, "pairs of faces that cross each other", 1.367),  # two balls less their lens, 1 - 3d/4r + d^3/16r^3 of one, d = r/2
-        (_hollow_all_wrong, "160 of 160 faces wound inward", 0.875),
         (_two_apart_one_turned_over, "80 of 160 faces wound inward", 2.0),  # left so, fTetWild would drop it
         (_two_apart, "2 separate bodies of 80, 80 faces, which would fly apart", 2.0),
     ],
@@ -150,6 +165,17 @@ def test_repair_fills_what_is_flawed_and_tells_the_flaw(
         filled = replace(geometry, repair=True).tet_mesh()
     assert flaw in caplog.messages[0]
     assert filled.volumes.sum() == pytest.approx(volume * _ball().volume, rel=0.05)  # 42 vertices a ball: the lens is cut less round
+
+
+@pytest.mark.parametrize(("made", "faces", "volume"), [(_turned_over, 80, 1.0), (_hollow_all_wrong, 160, 0.875)])
+def test_a_surface_that_is_inside_out_is_turned_over_with_a_word(
+    made: Callable[[], trimesh.Trimesh], faces: int, volume: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    made().export("inside_out.ply")
+    with caplog.at_level(logging.WARNING):
+        filled = ClosedSurface(path="inside_out.ply", x_extent=None, foot_depth=None, up_axis="z", edge_length=0.3).tet_mesh()
+    assert caplog.messages == [f"'inside_out.ply' is wound inward, all {faces} faces of it, and has no other flaw: it is turned over"]
+    assert filled.volumes.sum() == pytest.approx(volume * _ball().volume, rel=0.05)
 
 
 def test_the_repair_of_a_whole_surface_says_that_there_was_no_flaw(caplog: pytest.LogCaptureFixture) -> None:

@@ -97,6 +97,13 @@ def test_a_file_cut_in_half_is_refused_by_name(kind: str) -> None:
         load_surface(path)
 
 
+def test_a_file_that_ends_early_is_named_with_its_bytes_and_the_cure() -> None:
+    Path("cut.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1")
+    message = r"'cut.obj' could not be read: it must be a whole .obj, .ply, .stl or .off, found 21 bytes that end early or are something else; export it again"
+    with pytest.raises(GeometryError, match=message):
+        load_surface(Path("cut.obj"))
+
+
 def test_points_without_faces_are_refused() -> None:
     trimesh.PointCloud(_ball().vertices).export("points.ply")
     with pytest.raises(GeometryError, match="'points.ply' holds no triangles"):

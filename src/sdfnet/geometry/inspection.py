@@ -1,6 +1,7 @@
 """Inspects a surface for all that keeps it from bounding one solid, and refuses it with the places."""
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 
 import numpy as np
 from trimesh.graph import connected_component_labels
@@ -9,6 +10,8 @@ from sdfnet.errors import GeometryError
 from sdfnet.geometry.self_intersection import self_intersections
 from sdfnet.geometry.surface import NEARNESS, Surface, near_points, place_text
 from sdfnet.geometry.winding import winding_number
+
+logger = logging.getLogger(__name__)
 
 PLACES_NAMED = 3  # of each flaw, so that a message can be read
 VOLUME_ROUNDING = 1e-14  # parts of the diagonal cubed: the sign of a smaller volume, such as an open sheet's, says nothing
@@ -64,12 +67,20 @@ class Inspection:
 
 def require_closed(surface: Surface, origin: str) -> None:
     """Raise GeometryError, with every problem that `inspection` finds and its places, unless the surface bounds one solid."""
-    problems = inspection(surface).problems()
-    if problems:
-        raise GeometryError(
-            f"{origin} must be a closed surface, found {'; '.join(problems)}; "
-            "mend it in a mesh editor, or set dataset.scene.geometry.repair=true to let fTetWild fill it all the same"
-        )
+    _refuse(inspection(surface).problems(), origin)
+
+
+def closed_outward(surface: Surface, origin: str) -> Surface:
+    """The surface where it bounds one solid; turned over, with a warning, where it is wound inward as a whole and has no other flaw.
+
+    Raises GeometryError, as `require_closed` does, for every other surface.
+    """
+    found = inspection(surface)
+    if found.inward_faces.count == found.faces and not replace(found, inward_faces=Flaw()).problems():
+        logger.warning("%s is wound inward, all %d faces of it, and has no other flaw: it is turned over", origin, found.faces)
+        return Surface(surface.vertices, surface.faces[:, ::-1])
+    _refuse(found.problems(), origin)
+    return surface
 
 
 def inspection(surface: Surface) -> Inspection:
@@ -102,6 +113,14 @@ def wound_outward(surface: Surface) -> Surface:
     """The surface with the faces that `inspection` finds turned or wound inward turned over."""
     is_turned, is_inward, _ = _windings(surface, *_edges(surface.faces)[1:])
     return Surface(surface.vertices, np.where((is_turned ^ is_inward)[:, None], surface.faces[:, ::-1], surface.faces))
+
+
+def _refuse(problems: list[str], origin: str) -> None:
+    if problems:
+        raise GeometryError(
+            f"{origin} must be a closed surface, found {'; '.join(problems)}; "
+            "mend it in a mesh editor, or set dataset.scene.geometry.repair=true to let fTetWild fill it all the same"
+        )
 
 
 def _flaw(places: np.ndarray, count: int | None = None) -> Flaw:

@@ -5,6 +5,7 @@ A dataset may bring its own: derive from `MeshedGeometry`, add fields, and retur
 
 import hashlib
 import logging
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from sdfnet.errors import GeometryError
+from sdfnet.errors import ConfigurationError, GeometryError
 from sdfnet.geometry.bunny import bunny_path, place
-from sdfnet.geometry.inspection import inspection, require_closed, wound_outward
+from sdfnet.geometry.inspection import closed_outward, inspection, wound_outward
 from sdfnet.geometry.surface import load_surface
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.geometry.tetrahedralise import tetrahedralise
@@ -24,6 +25,9 @@ logger = logging.getLogger(__name__)
 
 # The six tets that share the diagonal 0-7 of a cell whose corner k has the offsets (k & 1, k >> 1 & 1, k >> 2).
 KUHN_TETS = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+
+UP_AXES = ("y", "z")
+REGULAR_ENERGY = 3.0  # AMIPS, tr(J'J) / det(J)^(2/3), of a regular tet: there is no lower
 
 
 @dataclass(frozen=True)
@@ -53,18 +57,32 @@ class ClosedSurface(MeshedGeometry):
     simplify: bool = True  # let fTetWild simplify the surface first: fewer slivers, so twice the time step
     repair: bool = False  # take a surface with flaws and let fTetWild fill it; what was flawed and the change of volume are logged
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.up_axis not in UP_AXES:
+            raise ConfigurationError(f"geometry.up_axis must be one of {', '.join(UP_AXES)}; found '{self.up_axis}'")
+        if self.x_extent is not None and not 0 < self.x_extent < math.inf:
+            raise ConfigurationError(f"geometry.x_extent must be positive and finite, found {self.x_extent} m; null keeps the size of the file")
+        if self.foot_depth is not None and not math.isfinite(self.foot_depth):
+            raise ConfigurationError(f"geometry.foot_depth must be finite, found {self.foot_depth} m; null keeps the position of the file")
+        for name in ("edge_length", "envelope"):
+            if not 0 < getattr(self, name) < 1:
+                raise ConfigurationError(f"geometry.{name} must lie in (0, 1), a fraction of the bounding box diagonal, found {getattr(self, name)}")
+        if not REGULAR_ENERGY < self.stop_energy < math.inf:
+            raise ConfigurationError(f"geometry.stop_energy must exceed {REGULAR_ENERGY:g}, that of regular tets, and be finite, found {self.stop_energy}")
+
     def source(self) -> Path:
         """The file that is read."""
         return bunny_path() if self.path is None else Path(self.path).expanduser()
 
     def tet_mesh(self) -> TetMesh:
-        """Load, check, place, fill. Raises GeometryError for a flawed surface unless `repair` is set."""
+        """Load, check, place, fill. Raises GeometryError for a flawed surface unless `repair` is set; one that is inside out is turned over."""
         surface, name = load_surface(self.source()), f"'{self.source().name}'"
         if self.repair:
             logger.warning("repair: %s has %s; fTetWild fills it all the same", name, "; ".join(inspection(surface).problems()) or "no flaw")
             surface = wound_outward(surface)  # of several bodies fTetWild drops those that are wound inward
         else:
-            require_closed(surface, name)
+            surface = closed_outward(surface, name)
         placed = place(surface, self.up_axis, self.x_extent, self.foot_depth)
         mesh = tetrahedralise(placed, self.edge_length, self.envelope, self.stop_energy, self.simplify)
         if self.repair:
@@ -82,7 +100,12 @@ class Box(MeshedGeometry):
     """A box from the origin, cut into cubes of six tets."""
 
     size: tuple[float, float, float] = (1.0, 1.0, 1.0)  # m
-    cells: tuple[int, int, int] = (4, 4, 4)
+    cells: tuple[int, int, int] = (4, 4, 4)  # along x, y and z
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not all(0 < length < math.inf for length in self.size):
+            raise ConfigurationError(f"geometry.size must be positive and finite, found {self.size} m")
 
     def tet_mesh(self) -> TetMesh:
         """A regular grid."""
@@ -96,6 +119,11 @@ class Sphere(MeshedGeometry):
 
     radius: float = 0.05  # m
     cells: int = 8  # along a diameter
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.radius < math.inf:
+            raise ConfigurationError(f"geometry.radius must be positive and finite, found {self.radius} m")
 
     def tet_mesh(self) -> TetMesh:
         """Each cubic shell becomes a spherical one, which keeps every tet's volume positive."""
