@@ -34,6 +34,7 @@ def test_every_level_can_be_overridden_and_the_rest_stays() -> None:
     assert made.scene.effects["left"].pressure == 7.0  # type: ignore[attr-defined]
     assert made.scene.effects["right"].pressure == 1000.0  # type: ignore[attr-defined]
     assert made.scene.solver.time_step == 1e-6
+    assert composed_dataset("dataset.scene.solver.time_step=1").scene.solver.time_step == 1.0
     assert (made.sampling.count, made.sampling.near_surface_count) == (11, 10_000)
 
 
@@ -74,7 +75,7 @@ class Inner:
 class Outer:
     """Settings with all that a plugin may hold."""
 
-    needed: int
+    needed: int  # m, and needed
     inner: Inner = field(default_factory=Inner)
     named: dict[str, Inner] = field(default_factory=lambda: {"a": Inner()})
     nothing: float | None = None
@@ -90,5 +91,8 @@ def test_nested_settings_are_writable_and_come_back_frozen_and_equal() -> None:
 
 
 def test_a_setting_without_a_value_is_named() -> None:
-    with pytest.raises(ConfigurationError, match="these settings have no value yet: needed; give each on the command line"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"these settings have no value yet: needed: a whole number \(m, and needed\); give each on the command line, such as 'needed=1'",
+    ):
         frozen(writable(Outer))

@@ -2,6 +2,8 @@
 
 import importlib.metadata
 import inspect
+import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,7 +21,8 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.physics.effects.gravity import Gravity
 from sdfnet.physics.effects.history import History
 from sdfnet.physics.effects.pressure_poke import PressurePoke
-from sdfnet.plugins import find_datasets, find_effects, frozen, register_effects, shipped
+from sdfnet.physics.regions import Ball, BoxRegion, HalfSpace, Region
+from sdfnet.plugins import find_datasets, find_effects, find_kinds, frozen, register_datasets, register_effects, shipped
 from sdfnet.scene import Effect, Scene
 
 EFFECT = '''
@@ -65,6 +68,21 @@ def kite() -> Dataset:
     return Dataset(Scene(Sphere(cells=2), {"wind": SideWind()}))
 '''
 )
+REGION = '''
+
+from sdfnet.physics.regions import Region
+
+
+@dataclass(frozen=True)
+class Slab(Region):
+    """Over a height."""
+
+    height: float = 0.0  # m
+
+    def contains(self, points, tolerance=0.0):
+        return points[:, 2] > self.height
+'''
+README = (Path(__file__).parents[1] / "README.md").read_text()
 Command = Callable[..., str]
 SMALL = ["dataset=sphere_squeeze", "dataset.scene.geometry.cells=3", "dataset.scene.effects.left.radius=0.03", "dataset.scene.effects.right.radius=0.03"]
 
@@ -168,7 +186,42 @@ def test_a_wrong_field_is_answered_with_the_nearest(prepare: Command) -> None:
 
 def test_a_field_that_must_be_given_is_asked_for(prepare: Command) -> None:
     said = prepare("+effect@dataset.scene.effects.more=pressure_poke")
-    assert "these settings have no value yet: dataset.scene.effects.more.center" in said
+    assert "these settings have no value yet: dataset.scene.effects.more.center: 3 numbers (m, on the surface); give each on the command line" in said
+    assert "such as 'dataset.scene.effects.more.center=[0.0,0.0,0.0]'" in said
+
+
+def test_an_effect_may_act_in_any_kind_of_region(plugin: Path) -> None:
+    (plugin / "kite.py").write_text(SCENE + REGION)
+    for choice, more, region in (
+        ("pinned/ball", ["radius=0.5"], Ball(radius=0.5)),
+        ("traction/box", ["lower=[0,0,0]"], BoxRegion(lower=(0.0, 0.0, 0.0))),
+        ("initial_motion/half_space", ["normal=[1,0,0]"], HalfSpace(normal=(1.0, 0.0, 0.0))),
+        ("inclusion/slab", ["height=2"], find_kinds(Region)["slab"](height=2.0)),
+    ):
+        place = "dataset.scene.effects.more"
+        scene = _scene("dataset=beam_bend", f"+effect@{place}={choice}", *(f"{place}.region.{one}" for one in more))
+        assert scene.effects["more"].region == region  # type: ignore[attr-defined]
+        assert type(scene.effects["more"]) is find_effects()[choice.split("/")[0]]
+
+
+def test_an_unknown_kind_of_region_is_answered_with_the_nearest(prepare: Command) -> None:
+    said = prepare("+effect@dataset.scene.effects.more=pinned/bal")
+    assert "Did you mean 'ball'?" in said
+
+
+def test_the_readmes_pin_in_a_ball_is_planned(prepare: Command) -> None:
+    (command,) = re.findall(r"```bash\npython prepare\.py (.*?pinned/ball.*?)```", README, flags=re.DOTALL)
+    said = prepare(*(word for word in shlex.split(command) if word != "\n"), "dataset.scene.geometry.cells=[4,1,1]")
+    assert "end: Pinned fixes 12 components of 4 nodes" in said
+
+
+def test_a_dataset_that_no_command_line_can_hold_is_named(plugin: Path) -> None:
+    (plugin / "kite.py").write_text(SCENE.replace('{"wind": SideWind()}', '{"wind": NodalForce(np.ones((27, 3)))}'))
+    message = (
+        r"dataset 'kite' must have fields of numbers, texts, tuples and dataclasses, found: .*; mend it: for arrays and functions derive a class of your own"
+    )
+    with pytest.raises(ConfigurationError, match=message):
+        register_datasets(find_datasets([plugin]))
 
 
 @pytest.mark.parametrize("value", ["3", "{pressure: 3}"])

@@ -6,33 +6,26 @@ named by an entry point of the group `sdfnet.datasets`. It defines functions dec
 own are found by this group too.
 """
 
-import hashlib
-import importlib.metadata
-import importlib.util
 import inspect
-import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from sdfnet.declared import expected, placeholder, words_of
 from sdfnet.errors import ConfigurationError
+from sdfnet.plugin_modules import belongs_to, classes_by_name, dataset_modules, effect_modules, origin_of
 from sdfnet.scene import Dataset, Effect, Scene
 
 DatasetFunction = Callable[[], Dataset]
 
-DATASETS_GROUP, EFFECTS_GROUP = "sdfnet.datasets", "sdfnet.effects"  # of entry points
-OWN_EFFECTS = "sdfnet.physics.effects."
-WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 MARK = "__sdfnet_dataset__"
-# Plugin files are loaded under this package, so that a folder named datasets never shadows another package of that name.
-PLUGIN_PACKAGE = "sdfnet_dataset_plugins"
 
 
 def dataset(function: DatasetFunction) -> DatasetFunction:
@@ -57,10 +50,10 @@ def find_datasets(folders: Iterable[Path] | None = None) -> dict[str, Dataset]:
     """
     found: dict[str, Dataset] = {}
     origins: dict[str, Path] = {}
-    for module in _dataset_modules(folders):
-        origin = _origin(module)
+    for module in dataset_modules(_searched(folders)):
+        origin = origin_of(module)
         for name, function in vars(module).items():
-            if getattr(function, MARK, False) and _belongs_to(function, module):
+            if getattr(function, MARK, False) and belongs_to(function, module):
                 if origins.setdefault(name, origin) != origin:
                     raise ConfigurationError(f"two plugins define a dataset named '{name}': '{origins[name]}' and '{origin}'; rename one")
                 found[name] = _made_by(function, origin)
@@ -73,35 +66,40 @@ def find_effects(folders: Iterable[Path] | None = None) -> dict[str, type[Effect
     Abstract classes and those whose name begins with an underscore are left out. Raises ConfigurationError when a plugin
     does not load or brings no effect, when two define one name, and when sdfnet was installed before it had entry points.
     """
-    found: dict[str, type[Effect]] = {}
-    for module in [*_effect_modules(), *_dataset_modules(folders)]:
-        for kind in _effects_of(module):
-            name = WORD_START.sub("_", kind.__name__).lower()
-            if found.setdefault(name, kind) is not kind:
-                first, second = (_origin(sys.modules[one.__module__]) for one in (found[name], kind))
-                raise ConfigurationError(f"two plugins define an effect named '{name}': '{first}' and '{second}'; rename one")
-    return found
+    return classes_by_name(Effect, [*effect_modules(), *dataset_modules(_searched(folders))])
+
+
+def find_kinds(base: Any, folders: Iterable[Path] | None = None) -> dict[str, type[Any]]:
+    """Every class that plugins derive from `base`, by its name as `find_effects` has it. Raises ConfigurationError when two define one name."""
+    return classes_by_name(base, [*effect_modules(), *dataset_modules(_searched(folders))])
 
 
 def register_datasets(datasets: dict[str, Dataset]) -> None:
-    """Put datasets into Hydra's config group `dataset`, where every field can be overridden and is type-checked."""
+    """Put datasets into Hydra's config group `dataset`, where every field can be overridden and is type-checked.
+
+    Raises ConfigurationError for a dataset with a field that no command line can hold.
+    """
     for name, made in datasets.items():
-        ConfigStore.instance().store(group="dataset", name=name, node=writable(made), provider="sdfnet")
+        with _told(f"dataset '{name}'", "mend it: for arrays and functions derive a class of your own from Effect or Region"):
+            ConfigStore.instance().store(group="dataset", name=name, node=writable(made), provider="sdfnet")
 
 
-def register_effects(effects: dict[str, type[Effect]]) -> None:
+def register_effects(effects: dict[str, type[Effect]], choices: Mapping[type, Mapping[str, type]] | None = None) -> None:
     """Put effects into Hydra's config group `effect`: `+effect@dataset.scene.effects.weight=gravity` adds one to a scene.
 
-    Raises ConfigurationError for an effect with a field that no command line can hold.
+    `choices` are the kinds of a type of field, by name: with {Region: {"ball": Ball}} there is `pinned/ball` beside `pinned`,
+    its region a ball. Raises ConfigurationError for an effect or a kind with a field that no command line can hold.
     """
     for name, kind in effects.items():
-        try:
+        with _told(f"effect '{name}' in '{origin_of(sys.modules[kind.__module__])}'", "mend it, or begin its name with _"):
             ConfigStore.instance().store(group="effect", name=name, node=writable(kind), provider="sdfnet")
-        except OmegaConfBaseException as error:
-            origin, reason = _origin(sys.modules[kind.__module__]), str(error).splitlines()[0]
-            raise ConfigurationError(
-                f"effect '{name}' in '{origin}' must have fields of numbers, texts, tuples and dataclasses, found: {reason}; mend it, or begin its name with _"
-            ) from error
+        hints = get_type_hints(kind)
+        chosen = [(entry.name, *choice) for entry in fields(kind) for choice in (choices or {}).get(hints[entry.name], {}).items()]
+        for field_name, choice, part in chosen:
+            with _told(f"'{choice}' in '{origin_of(sys.modules[part.__module__])}'", "mend it, or begin its name with _"):
+                node = writable(kind)
+                node[field_name] = writable(part)
+                ConfigStore.instance().store(group=f"effect/{name}", name=choice, node=node, provider="sdfnet")
 
 
 def writable(settings: Any) -> DictConfig:
@@ -116,72 +114,39 @@ def frozen(config: DictConfig) -> Any:
 
     Raises ConfigurationError when a value that must be given is missing.
     """
-    if missing := OmegaConf.missing_keys(config):
-        raise ConfigurationError(f"these settings have no value yet: {', '.join(sorted(missing))}; give each on the command line")
+    if missing := sorted(OmegaConf.missing_keys(config)):
+        wanted = [_wanted(config, key) for key in missing]
+        written = " ".join(f"'{key}={right}'" for key, (_, right) in zip(missing, wanted, strict=True) if right)
+        raise ConfigurationError(
+            f"these settings have no value yet: {', '.join(f'{key}{what}' for key, (what, _) in zip(missing, wanted, strict=True))}; "
+            f"give each on the command line{f', such as {written}' if written else ''}"
+        )
     return _object(config)
 
 
-def _dataset_modules(folders: Iterable[Path] | None) -> list[ModuleType]:
-    searched = [shipped("datasets"), Path("datasets")] if folders is None else list(folders)
-    # By name and content: an installed sdfnet that runs inside a checkout sees the same files twice, and means them once.
-    files = {(path.name, path.read_bytes()): path.resolve() for folder in searched if folder.is_dir() for path in sorted(folder.glob("*.py"))}
-    return [*(_loaded_file(path) for path in sorted(files.values())), *_entry_point_modules(DATASETS_GROUP, "dataset")]
+def _searched(folders: Iterable[Path] | None) -> Iterable[Path]:
+    """The folders for datasets: those that are told, else the shipped one and ./datasets."""
+    return [shipped("datasets"), Path("datasets")] if folders is None else folders
 
 
-def _effect_modules() -> list[ModuleType]:
-    modules = _entry_point_modules(EFFECTS_GROUP, "effect")
-    if not any(module.__name__.startswith(OWN_EFFECTS) for module in modules):
-        raise ConfigurationError(
-            f"sdfnet's own effects must be among the entry points of the group {EFFECTS_GROUP}, found none: "
-            "it was installed before it had them; install it again, in a checkout with pip install --editable ."
-        )
-    for module in modules:
-        if not _effects_of(module):
-            raise ConfigurationError(f"effect plugin '{module.__name__}' must define an effect, found none in '{_origin(module)}'; mend or uninstall it")
-    return modules
+def _wanted(config: DictConfig, key: str) -> tuple[str, str]:
+    """What a setting without a value must be, in words, and numbers that could stand there; both empty where nothing is declared."""
+    parent, _, name = key.rpartition(".")
+    kind = OmegaConf.get_type(OmegaConf.select(config, parent) if parent else config)
+    if kind is None or not is_dataclass(kind):
+        return "", ""
+    hint, about = get_type_hints(kind)[name], words_of(kind, name)
+    return f": {expected(hint)}{f' ({about})' if about else ''}", placeholder(hint).translate(str.maketrans("()", "[]", " "))
 
 
-def _effects_of(module: ModuleType) -> list[type[Effect]]:
-    kinds = [kind for kind in vars(module).values() if inspect.isclass(kind) and issubclass(kind, Effect) and _belongs_to(kind, module)]
-    return [kind for kind in kinds if not inspect.isabstract(kind) and not kind.__name__.startswith("_")]
-
-
-def _belongs_to(thing: Any, module: ModuleType) -> bool:
-    """Whether it was defined in the module or in a part of it, and not only imported there."""
-    return f"{thing.__module__}.".startswith(f"{module.__name__}.")
-
-
-def _origin(module: ModuleType) -> Path:
-    return Path(str(module.__file__)).resolve()
-
-
-def _loaded_file(path: Path) -> ModuleType:
-    """The module of a file; asked again it is the same one, so that a class of it stays one class."""
-    # Two folders may hold files of one name, and a file may change while a notebook runs.
-    name = f"{PLUGIN_PACKAGE}.{path.stem}_{hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:8]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    specification = importlib.util.spec_from_file_location(name, path)
-    if specification is None or specification.loader is None:
-        raise ConfigurationError(f"dataset plugin '{path}' cannot be loaded as Python")
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[name] = module
+@contextmanager
+def _told(what: str, cure: str) -> Iterator[None]:
+    """Say it in our words where OmegaConf cannot hold something."""
     try:
-        specification.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        raise ConfigurationError(f"dataset plugin '{path}' failed to load: {type(error).__name__}: {error}; mend it or move it out of the folder") from error
-    return module
-
-
-def _entry_point_modules(group: str, what: str) -> list[ModuleType]:
-    modules = []
-    for entry_point in importlib.metadata.entry_points(group=group):
-        try:
-            modules.append(importlib.import_module(entry_point.module))
-        except Exception as error:
-            raise ConfigurationError(f"{what} plugin '{entry_point.value}' failed to load: {type(error).__name__}: {error}; mend or uninstall it") from error
-    return modules
+        yield
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigurationError(f"{what} must have fields of numbers, texts, tuples and dataclasses, found: {reason}; {cure}") from error
 
 
 def _made_by(function: DatasetFunction, origin: Path) -> Dataset:

@@ -1,5 +1,7 @@
 """Which points lie in a region, and what is said where none does."""
 
+import inspect
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,10 +9,10 @@ import pytest
 from jaxtyping import Bool, Float64
 
 from sdfnet.errors import ConfigurationError
-from sdfnet.physics.regions import Ball, BoxRegion, HalfSpace, Region
+from sdfnet.physics.regions import REGIONS, Ball, BoxRegion, HalfSpace, Region, Where
 
 POINTS = np.random.default_rng(5).uniform(-2, 2, (500, 3))
-REGIONS = [
+SAMPLES = [
     HalfSpace(point=(0.3, 0.0, -0.2), normal=(1.0, 2.0, -2.0)),
     BoxRegion(lower=(-1.0, -0.5, -np.inf), upper=(0.5, np.inf, 1.0)),
     Ball(center=(0.2, 0.1, -0.3), radius=1.2),
@@ -19,24 +21,24 @@ REGIONS = [
 
 def test_a_half_space_holds_what_is_behind_its_plane() -> None:
     expected = (POINTS - [0.3, 0.0, -0.2]) @ [1.0, 2.0, -2.0] <= 0
-    np.testing.assert_array_equal(REGIONS[0].contains(POINTS), expected)
+    np.testing.assert_array_equal(SAMPLES[0].contains(POINTS), expected)
     assert 0 < expected.sum() < 500
 
 
 def test_a_box_holds_what_is_between_its_corners() -> None:
     x, y, z = POINTS.T
-    np.testing.assert_array_equal(REGIONS[1].contains(POINTS), (x >= -1) & (x <= 0.5) & (y >= -0.5) & (z <= 1))
+    np.testing.assert_array_equal(SAMPLES[1].contains(POINTS), (x >= -1) & (x <= 0.5) & (y >= -0.5) & (z <= 1))
 
 
 def test_a_ball_holds_what_is_near_its_centre() -> None:
-    np.testing.assert_array_equal(REGIONS[2].contains(POINTS), np.linalg.norm(POINTS - [0.2, 0.1, -0.3], axis=1) <= 1.2)
+    np.testing.assert_array_equal(SAMPLES[2].contains(POINTS), np.linalg.norm(POINTS - [0.2, 0.1, -0.3], axis=1) <= 1.2)
 
 
 def test_by_default_a_box_is_all_of_space() -> None:
     assert BoxRegion().contains(1e300 * POINTS).all()
 
 
-@pytest.mark.parametrize("region", REGIONS, ids=lambda region: type(region).__name__)
+@pytest.mark.parametrize("region", SAMPLES, ids=lambda region: type(region).__name__)
 def test_the_faces_belong_to_a_region_and_a_tolerance_is_a_length(region: Region) -> None:
     outside = {"HalfSpace": (0.3 + 0.1, 0.2, -0.2 - 0.2), "BoxRegion": (0.5 + 0.3, 0.0, 0.0), "Ball": (0.2, 0.1, -0.3 + 1.5)}[type(region).__name__]
     point = np.array([outside])  # 0.3 out of it
@@ -44,7 +46,7 @@ def test_the_faces_belong_to_a_region_and_a_tolerance_is_a_length(region: Region
     assert region.contains(point, 0.3 + 1e-12).all()
 
 
-@pytest.mark.parametrize("region", REGIONS, ids=lambda region: type(region).__name__)
+@pytest.mark.parametrize("region", SAMPLES, ids=lambda region: type(region).__name__)
 def test_what_may_reach_a_region_is_never_missed(region: Region) -> None:
     near = region.may_reach(POINTS, 0.5)
     for offset in 0.5 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]):
@@ -101,3 +103,30 @@ def test_without_a_tolerance_or_a_distance_only_the_places_are_said() -> None:
 def test_meaningless_regions_are_refused(kind: type[Region], settings: dict[str, float], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         kind(**settings)
+
+
+def test_a_region_is_where_a_function_of_all_points_is_true() -> None:
+    np.testing.assert_array_equal(Where(lambda points: points[:, 0] + points[:, 1] < 0.3).contains(POINTS), POINTS[:, 0] + POINTS[:, 1] < 0.3)
+    assert Where(lambda points: [1] * len(points)).contains(POINTS).all()  # type: ignore[arg-type, return-value]
+
+
+@pytest.mark.parametrize(
+    ("predicate", "message"),
+    [
+        (
+            lambda points: points[0] < 0.1,
+            r"must answer for each of the 500 points at once, found 3 answers; write it .* such as lambda points: points\[:, 0\] < 0",
+        ),
+        (lambda points: True, r"the answer of a region's predicate must be an array \(points\) of true and false, found True"),
+        (lambda points: points[:, 0], r"of true and false, found an array \(500,\) of float64"),
+        (lambda points: points < 0.1, r"of true and false, found an array \(500, 3\) of bool"),
+    ],
+)
+def test_a_function_that_does_not_answer_for_each_point_is_refused(predicate: Callable[[np.ndarray], np.ndarray], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        Where(predicate).contains(POINTS)
+
+
+def test_every_region_that_settings_can_hold_has_a_name_on_the_command_line() -> None:
+    ours = {kind for kind in Region.__subclasses__() if kind.__module__ == Region.__module__ and not inspect.isabstract(kind)}
+    assert set(REGIONS.values()) == ours - {Where}

@@ -125,6 +125,7 @@ def test_a_wrong_type_is_named_without_a_guess_at_another_key(command: Command, 
     [
         ("prepare", "dataset.scene.material.poisson_ratio=0.5", "material.poisson_ratio must lie in (-1, 0.5), found 0.5"),
         ("prepare", "dataset.scene.solver.time_step=1.0", "stable limit"),
+        ("prepare", "dataset.scene.solver.time_step=1", "time step 1 s exceeds the stable limit"),
         ("prepare", "dataset.scene.geometry.cells=0", "geometry.cells must be at least 1 along every axis"),
         ("prepare", "dataset.scene.effects.left.center=[9,9,9]", "move poke.center there"),
         ("train", "split=none", "split must be one of all, interpolation, extrapolation; found 'none'"),
@@ -174,6 +175,12 @@ def test_an_absurd_load_is_refused_before_distances_are_measured(command: Comman
         ("train", ["model=learned", "split=interpolation"], "model.latents=learned needs split=all, found split=interpolation"),
         ("train", ["evaluation.storage=int4"], "evaluation.storage must be one of float32, fp16, int8; found 'int4'\nDid you mean 'int8'?"),
         ("prepare", ["dataset.sampling.seed=-1"], "sampling.seed must not be negative, found -1"),
+        ("prepare", ["data_folder="], "data_folder must be a folder, found nothing behind it; name one, or leave data_folder out"),
+        ("prepare", ["dataset=null"], "Config group override must be a string or a list"),
+        ("prepare", ["dataset.scene.effects.left.center=1"], "A list is written in brackets and, because of the shell, in quotes: 'key=[1,2,3]'"),
+        ("prepare", ["dataset.scene.effects.left.center=(0,0,0)"], "A list is written in brackets"),
+        ("cost", ["studies=distances"], "A list is written in brackets"),
+        ("prepare", ["+effect@dataset.scene.effects.left=gravity"], "There is a PressurePoke of that name already: give another name, and if need be remove"),
     ],
 )
 def test_a_mistake_is_answered_with_its_cure_and_leaves_no_folder(command: Command, name: str, words: list[str], message: str) -> None:
@@ -282,7 +289,10 @@ def test_a_checkpoint_of_arrays_at_hand_is_not_measured_on_files(command: Comman
 
 
 def test_evaluate_without_a_checkpoint_asks_for_one(command: Command) -> None:
-    _refusal(command("evaluate"), "these settings have no value yet: checkpoint; give each on the command line")
+    _refusal(
+        command("evaluate"),
+        "these settings have no value yet: checkpoint: text (what train.py wrote, such as outputs/train/.../checkpoints/last.ckpt); give",
+    )
 
 
 def test_a_broken_plugin_stops_every_command_with_its_path(command: Command) -> None:

@@ -19,10 +19,11 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from sdfnet.cli.earlier_run import take_over, typed
-from sdfnet.cli.mistakes import check_overrides, check_words, with_nearest
+from sdfnet.cli.mistakes import check_overrides, check_words, stored, with_nearest
 from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings, VerifySettings
 from sdfnet.errors import SdfnetError
-from sdfnet.plugins import find_datasets, find_effects, frozen, register_datasets, register_effects, shipped, writable
+from sdfnet.physics.regions import REGIONS, Region
+from sdfnet.plugins import find_datasets, find_effects, find_kinds, frozen, register_datasets, register_effects, shipped, writable
 from sdfnet.stopping import Stopped, signals_handled
 
 Command = Callable[[Any, Path], float | None]
@@ -69,14 +70,14 @@ def register(*commands: str) -> None:
     for command in commands:
         ConfigStore.instance().store(name=f"{command}_schema", node=writable(SCHEMAS[command]), provider="sdfnet")
     register_datasets(find_datasets())
-    register_effects(find_effects())
+    register_effects(find_effects(), {Region: REGIONS | find_kinds(Region)})
     OmegaConf.register_new_resolver("known", _known, replace=True)  # for the pages that --help shows
 
 
 def _known(group: str) -> str:
     """The names of a group: of files in conf/, and of plugins."""
     files = (path.stem for path in (shipped("conf") / group).glob("*.yaml"))
-    return ", ".join(sorted({*files, *(name.removesuffix(".yaml") for name in ConfigStore.instance().repo.get(group, {}))}))
+    return ", ".join(sorted({*files, *stored(group)}))
 
 
 def _main(name: str) -> None:

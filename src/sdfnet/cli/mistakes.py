@@ -7,6 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import hydra
+from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, ValueType
 from hydra.errors import HydraException, MissingConfigException
@@ -17,6 +18,8 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.plugins import shipped
 
 CHOICE = re.compile(r"must be one of (?P<known>.+?); found '(?P<found>.*?)'")  # how settings refuse a word
+NO_LIST = re.compile(r"is not a ListConfig, list or tuple|=\(")  # OmegaConf's words, or what Hydra cannot parse
+TAKEN = re.compile(r"Merge error: \w+ is not a subclass of (?P<there>\w+)")
 WRITTEN_FOLDERS = {"train": {"data_folder"}, "prepare": {"data_folder"}, "cost": {"data_folder"}}  # by command; besides Hydra's
 HYDRA_FOLDERS = {"hydra.run.dir", "hydra.sweep.dir"}
 PAGES = {"experiment", "sweep", "strategy"}  # groups of train.py that are no setting
@@ -29,7 +32,7 @@ def check_overrides(name: str, overrides: list[str]) -> DictConfig:
         first_of_sweeps = [line for override in parsed for line in _first_of_sweep(override)]
         with hydra.initialize_config_dir(str(shipped("conf").resolve()), version_base="1.3"):
             composed = hydra.compose(name, first_of_sweeps, return_hydra_config=True)
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, ValueError) as error:  # the last for dataset=null
         raise ConfigurationError(_explained(error)) from error
     for override in parsed:
         if override.key_or_group in WRITTEN_FOLDERS.get(name, set()) | HYDRA_FOLDERS and not override.is_sweep_override():
@@ -46,6 +49,14 @@ def check_words(schema: type, words: list[str]) -> None:
             raise ConfigurationError(f"a setting is given without dashes and with =, found '{word}'; say {key}={value or following}")
 
 
+def stored(group: str) -> list[str]:
+    """The names that plugins have in a group, or in a group in a group."""
+    entries = ConfigStore.instance().repo
+    for part in group.split("/"):
+        entries = entries.get(part, {})
+    return sorted(name.removesuffix(".yaml") for name in entries if name.endswith(".yaml"))
+
+
 def with_nearest(message: str) -> str:
     """A message, and where it refuses a word of several known ones the nearest of them."""
     choice = CHOICE.search(message)
@@ -56,6 +67,8 @@ def _require_folder(key: str, place: str) -> None:
     """Make a folder that was typed; one with an interpolation in it only Hydra can name."""
     if "${" in place:
         return
+    if not place:
+        raise ConfigurationError(f"{key} must be a folder, found nothing behind it; name one, or leave {key} out")
     try:
         Path(place).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -77,9 +90,15 @@ def _explained(error: Exception) -> str:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     message = str(error).strip()
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
-        return message + _guess(error.missing_cfg_file.rsplit("/", 1)[-1], error.options)
+        group, _, wrong = error.missing_cfg_file.rpartition("/")
+        inner = [name for name in stored(group) if name not in error.options]  # of a group in a group, such as effect/pinned, Hydra lists the outer alone
+        return message + (f"\nAvailable options in '{group}': {', '.join(inner)}" if inner else "") + _guess(wrong, inner or error.options)
     if cause is not error and str(cause).splitlines()[0] not in message:
         message += "\n" + str(cause).splitlines()[0]
+    if NO_LIST.search(message):
+        message += "\nA list is written in brackets and, because of the shell, in quotes: 'key=[1,2,3]'"
+    if taken := TAKEN.search(message):
+        message += f"\nThere is a {taken['there']} of that name already: give another name, and if need be remove the old one with ~dataset.scene.effects.NAME"
     parent, key = getattr(cause, "parent_node", None), getattr(cause, "key", None)
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and isinstance(parent, DictConfig) and isinstance(key, str):
         known = [str(one) for one in parent]

@@ -99,7 +99,7 @@ class TrainSettings:
 class EvaluateSettings:
     """python evaluate.py"""
 
-    checkpoint: str = MISSING
+    checkpoint: str = MISSING  # what train.py wrote, such as outputs/train/.../checkpoints/last.ckpt
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
     data_folder: str = "outputs/data"
 

@@ -43,7 +43,8 @@ from sdfnet.cost.sweep_table import (
 from sdfnet.data.store import write_json
 from sdfnet.errors import SdfnetError
 from sdfnet.models.decoder import SdfCalculator
-from sdfnet.plugins import PLUGIN_PACKAGE, find_datasets, frozen
+from sdfnet.plugin_modules import PLUGIN_PACKAGE
+from sdfnet.plugins import find_datasets, frozen
 
 LOG_FILE = "training.log"
 REASON_LINES = 3  # of the log's end that are kept as a failed job's reason

@@ -1,12 +1,14 @@
-"""Parts of space by which effects choose nodes and surface: half-space, box, ball, or a class of your own with a predicate."""
+"""Parts of space by which effects choose nodes and surface: half-space, box, ball, where a function says so, or a class of your own."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from sdfnet.checked import Checked, taken
 from sdfnet.errors import ConfigurationError
 
 ROUNDING = 1e-9  # of the solid's diagonal: a point this little out of a region was meant to lie in it
@@ -14,8 +16,8 @@ DOUBLINGS, BISECTIONS = 40, 40  # of the solid's extent, to find how far it is f
 
 
 @dataclass(frozen=True)
-class Region(ABC):
-    """A part of space at rest. Derive from it, add fields, and `contains` is any predicate."""
+class Region(Checked, ABC):
+    """A part of space at rest. Derive from it, add fields, and `contains` is any predicate: one that a dataset file and a command line can hold."""
 
     heeds_tolerance: ClassVar[bool] = False  # whether `contains` grows with the tolerance; one that does spares surface loads the faces far away
 
@@ -60,6 +62,7 @@ class HalfSpace(Region):
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)  # points out of it; its length does not matter
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (np.isfinite(self.normal).all() and np.any(self.normal)):
             raise ConfigurationError(f"region.normal must be finite and not zero, found {tuple(self.normal)}")
         if not np.isfinite(self.point).all():
@@ -81,6 +84,7 @@ class BoxRegion(Region):
     upper: tuple[float, float, float] = (np.inf, np.inf, np.inf)  # m
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (np.asarray(self.lower) <= np.asarray(self.upper)).all():
             raise ConfigurationError(f"region.lower must not exceed region.upper, found {tuple(self.lower)} and {tuple(self.upper)}")
 
@@ -99,6 +103,7 @@ class Ball(Region):
     radius: float = 1.0  # m
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not np.isfinite(self.center).all():
             raise ConfigurationError(f"region.center must be finite, found {tuple(self.center)} m")
         if not self.radius > 0:
@@ -108,3 +113,28 @@ class Ball(Region):
         """Distance to the centre at most the radius plus `tolerance`."""
         within: np.ndarray = np.linalg.norm(points - np.asarray(self.center, dtype=np.float64), axis=1) <= self.radius + tolerance
         return within
+
+
+@dataclass(frozen=True)
+class Where(Region):
+    """Where a function of the rest positions (m) is true: `Pinned(Where(lambda points: np.hypot(points[:, 0], points[:, 1]) < 0.01))`.
+
+    For scenes that are built in Python. Not for a dataset file, whose settings are written down and a function cannot be:
+    derive from `Region` there. It knows no tolerance: ask for `< 1e-9`, not for `== 0`, where nodes may be off by rounding.
+    """
+
+    predicate: Callable[[Float64[np.ndarray, "points 3"]], Bool[np.ndarray, " points"]]
+
+    def contains(self, points: Float64[np.ndarray, "points 3"], tolerance: float = 0.0) -> Bool[np.ndarray, " points"]:
+        """What the function answers. Raises ConfigurationError unless that is true or false for each point."""
+        answer = taken("the answer of a region's predicate", self.predicate(points), Bool[np.ndarray, " points"])
+        if len(answer) != len(points):
+            raise ConfigurationError(
+                f"a region's predicate must answer for each of the {len(points)} points at once, found {len(answer)} answers; "
+                "write it for an array of shape (points, 3), such as lambda points: points[:, 0] < 0.1"
+            )
+        result: np.ndarray = answer
+        return result
+
+
+REGIONS: dict[str, type[Region]] = {"half_space": HalfSpace, "box": BoxRegion, "ball": Ball}  # by the name that a command line gives them
