@@ -171,13 +171,13 @@ def test_the_initial_state_is_new_each_time_and_that_of_the_equation(equation: C
 
 
 @pytest.mark.parametrize("name", INTEGRATORS)
-def test_energy_is_kept_for_ten_thousand_steps_under_a_constant_load(equation: Callable[..., EquationOfMotion], name: str) -> None:
+def test_energy_is_kept_under_a_constant_load(equation: Callable[..., EquationOfMotion], name: str) -> None:
     motion = equation("initial motion")
     integrator = built(name, motion, DURATION / 30)  # 0.9 of the stability limit
     state = integrator.initial_state()
     first, energies, works = integrator.energy(state), [], [np.abs(integrator.energy(state))]
     for _ in range(5):
-        integrator.advance(state, 2000)
+        integrator.advance(state, 400)  # 10,000 steps are a reference case
         energies.append(integrator.energy(state))
         works.append(np.abs((motion.constant_force * state.displacement.numpy()).sum(axis=0)))
     assert np.abs(np.array(energies) - first).max() <= 1e-11 * np.max(works)  # NUMERICS
