@@ -19,8 +19,7 @@ from sdfnet.checked import taken
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.distance_kernel import query_kernel
 from sdfnet.geometry.surface import Surface
-
-wp.config.log_level = wp.LOG_ERROR  # its greeting is no news; what its native code prints about a missing CUDA driver does not listen to this
+from sdfnet.geometry.warp_start import start_warp
 
 # A closest point nearer than this to an edge or corner, in barycentric coordinates, takes the normal of that edge or
 # corner: ten times the float32 error of the coordinates on triangles of 1 % of the solid's size.
@@ -57,6 +56,7 @@ class SurfaceDistance:
         self._neighbours = _faces_across_edges(surface.faces) if is_closed else own_face
         # Centred coordinates keep float32 at its best.
         self._centre = (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
+        start_warp()
         self._mesh = wp.Mesh(
             points=wp.array((surface.vertices - self._centre).astype(np.float32), dtype=wp.vec3, device=device),
             indices=wp.array(surface.faces.astype(np.int32).ravel(), dtype=wp.int32, device=device),

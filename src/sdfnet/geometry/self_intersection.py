@@ -14,8 +14,7 @@ from jaxtyping import Float64, Int64
 from sdfnet.errors import GeometryError
 from sdfnet.geometry.self_intersection_kernel import crossing_kernel
 from sdfnet.geometry.surface import Surface
-
-wp.config.log_level = wp.LOG_ERROR  # as in `sdfnet.geometry.distance`, whichever is imported first
+from sdfnet.geometry.warp_start import start_warp
 
 LISTED = 1024  # pairs that a report names at most; the count is always of all
 # The boxes of the hierarchy are float32: eight of its steps at the solid's diagonal.
@@ -49,6 +48,7 @@ class SelfIntersectionSearch:
     def __init__(self, surface: Surface, device: str = "cpu", listed: int = LISTED) -> None:
         if len(surface.faces) == 0:
             raise GeometryError("self-intersections need at least one face, found none")
+        start_warp()
         self._device = device
         self._listed = listed
         faces = surface.faces.astype(np.int32)
