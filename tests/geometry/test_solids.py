@@ -93,6 +93,20 @@ def test_a_surface_of_ones_own_is_filled_where_it_is_placed() -> None:
     np.testing.assert_allclose(upper, [0.2, 0.1, 0.19], atol=4e-4)
 
 
+@pytest.mark.parametrize(
+    ("x_extent", "message"),
+    [
+        (0.2, "'ball.stl' is 0.2 x 0.2 x 0.2 m: its 6 along x are scaled to geometry.x_extent; null keeps its numbers as metres"),
+        (None, "'ball.stl' is 6 x 6 x 6 m as its numbers stand; if they are millimetres, set geometry.x_extent=0.006"),
+    ],
+)
+def test_how_large_a_file_is_taken_to_be_is_said(caplog: pytest.LogCaptureFixture, x_extent: float | None, message: str) -> None:
+    trimesh.creation.icosphere(subdivisions=1, radius=3.0).export("ball.stl")
+    with caplog.at_level(logging.INFO, logger="sdfnet.geometry.solids"):
+        ClosedSurface(path="ball.stl", x_extent=x_extent, edge_length=0.3).tet_mesh()
+    assert [record.message for record in caplog.records if record.name == "sdfnet.geometry.solids"] == [message]
+
+
 def test_an_open_surface_is_refused_by_its_file_name_and_filled_on_request(caplog: pytest.LogCaptureFixture) -> None:
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
     ball.update_faces(np.arange(len(ball.faces)) > 0)

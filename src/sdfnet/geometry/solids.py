@@ -16,7 +16,7 @@ from jaxtyping import Float64, Int64
 from sdfnet.errors import ConfigurationError, GeometryError
 from sdfnet.geometry.bunny import bunny_path, place
 from sdfnet.geometry.inspection import closed_outward, inspection, wound_outward
-from sdfnet.geometry.surface import load_surface
+from sdfnet.geometry.surface import Surface, load_surface
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.geometry.tetrahedralise import tetrahedralise
 from sdfnet.scene import Geometry
@@ -84,11 +84,22 @@ class ClosedSurface(MeshedGeometry):
         else:
             surface = closed_outward(surface, name)
         placed = place(surface, self.up_axis, self.x_extent, self.foot_depth)
+        if self.path is not None:
+            logger.info("%s", self._extent(name, surface, placed))
         mesh = tetrahedralise(placed, self.edge_length, self.envelope, self.stop_energy, self.simplify)
         if self.repair:
             before, after = placed.as_trimesh().volume, float(mesh.volumes.sum())
             logger.warning("repair: the surface enclosed %.4g m^3, its tets fill %.4g m^3, a change of %+.2g m^3", before, after, after - before)
         return mesh
+
+    def _extent(self, name: str, surface: Surface, placed: Surface) -> str:
+        """How large the solid is, so that a file in other units than metres is seen."""
+        size = " x ".join(f"{length:.4g}" for length in np.ptp(placed.vertices, axis=0))
+        if self.x_extent is None:
+            in_millimetres = float(np.ptp(placed.vertices[:, 0])) / 1000
+            return f"{name} is {size} m as its numbers stand; if they are millimetres, set geometry.x_extent={in_millimetres:.4g}"
+        file_size = float(np.ptp(surface.vertices[:, 0]))
+        return f"{name} is {size} m: its {file_size:.4g} along x are scaled to geometry.x_extent; null keeps its numbers as metres"
 
     def inputs_digest(self) -> str:
         """The hash of the surface file's bytes; a missing file is reported by `load_surface`."""
