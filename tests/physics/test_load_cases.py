@@ -80,9 +80,16 @@ def test_the_frames_of_the_cases_follow_one_another(cube: TetMesh) -> None:
         trajectory.case("left")
 
 
-def test_the_plan_says_how_many_cases_there_are_and_expects_the_stress_of_the_strongest(cube: TetMesh) -> None:
+def test_the_plan_lists_the_cases_and_expects_the_stress_of_the_strongest(cube: TetMesh) -> None:
     compiled = plan(SCENE, cube)
-    assert "3 load cases in one run, a column each" in compiled.describe()
+    text = compiled.describe().splitlines()
+    first = text.index("3 load cases in one run, a column each") + 1
+    assert [line.split(" (")[0] for line in text[first : first + 4]] == [
+        "  top: PressurePoke adds a constant load",
+        "  side: PressurePoke adds a constant load",
+        "  pull: PressurePoke adds a constant load",
+        "matrices",
+    ]
     assert compiled.demands.stress == pytest.approx(20.0 + 3.0 * cube.diagonal)
     assert compiled.equation().constant_force.shape[1] == 3
 

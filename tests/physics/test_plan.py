@@ -12,7 +12,9 @@ from jaxtyping import Bool, Float64
 from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.body_force import BodyForce
+from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.history import History, pulse, ramp
+from sdfnet.physics.effects.initial_motion import InitialMotion
 from sdfnet.physics.effects.pinned import Pinned
 from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
@@ -20,9 +22,11 @@ from sdfnet.physics.effects.roles import AddsLoad, ConstrainsNodes, Load
 from sdfnet.physics.elasticity import ElasticModel
 from sdfnet.physics.elements import FiniteElements
 from sdfnet.physics.integrators import INTEGRATORS
-from sdfnet.physics.plan import Plan, plan
-from sdfnet.physics.regions import HalfSpace
+from sdfnet.physics.plan import Plan, duration, plan
+from sdfnet.physics.regions import BoxRegion, HalfSpace
+from sdfnet.physics.simulate import run
 from sdfnet.physics.stability import StepLimits
+from sdfnet.physics.vibration import natural_frequencies
 from sdfnet.scene import Effect, Geometry, Material, Recording, Scene, Solver
 
 MakeBox = Callable[..., TetMesh]
@@ -258,7 +262,6 @@ def test_scenes_in_which_nothing_could_happen_are_refused(cube: TetMesh, effects
 @pytest.mark.parametrize(
     ("effects", "material", "message"),
     [
-        ({"foot": FOOT}, Material(), "nothing loads the solid"),
         ({"push": PUSH}, Material(), "nothing holds the solid: it flies freely"),
         (
             {"foot": FOOT, "push": PUSH},
@@ -276,6 +279,77 @@ def test_a_doubtful_scene_runs_with_one_warning(
         plan(replace(scene_of(**effects), material=material), cube)
     assert len(caplog.messages) == 1
     assert message in caplog.messages[0]
+
+
+def test_a_plan_without_a_load_says_so_where_it_is_printed_and_is_no_matter_to_modes(cube: TetMesh, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, logger="sdfnet"):
+        compiled = plan(scene_of(foot=FOOT), cube)
+        natural_frequencies(compiled, 1)
+        text = compiled.describe()
+        assert caplog.messages == []
+        run(compiled)
+    assert caplog.messages == ["nothing loads the solid or moves it: every frame will be the rest state"]
+    assert f"  {caplog.messages[0]}" in text.splitlines()
+    assert "nothing loads" not in plan(scene_of(foot=FOOT, push=PUSH), cube).describe()
+
+
+def beside_itself(mesh: TetMesh, count: int) -> TetMesh:
+    """So many copies in a row, two widths apart, that share no node."""
+    shift = 2 * np.ptp(mesh.nodes[:, 0]) * np.array([1.0, 0.0, 0.0])
+    return TetMesh(np.concatenate([mesh.nodes + k * shift for k in range(count)]), np.concatenate([mesh.tets + k * len(mesh.nodes) for k in range(count)]))
+
+
+LEFT_FOOT = Pinned(BoxRegion((-1.0, -1.0, -1.0), (1.5, 2.0, 0.01)))
+
+
+def test_a_part_of_the_mesh_that_nothing_holds_is_named_with_the_cure(cube: TetMesh, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, logger="sdfnet.physics.plan"):
+        plan(scene_of(foot=LEFT_FOOT, push=PUSH), beside_itself(cube, 2))
+        plan(scene_of(foot=LEFT_FOOT, push=PUSH), beside_itself(cube, 6))
+    one, many = caplog.messages
+    assert one == (
+        f"1 of the 2 unconnected parts of the mesh is held by nothing, and any load makes it fly freely: part 2 of {len(cube.tets)} tets about "
+        "(2.5, 0.5, 0.5) m; pin each by itself, join it to the rest, or leave it out of the mesh"
+    )
+    assert many.startswith("5 of the 6 unconnected parts of the mesh are held by nothing, and any load makes them fly freely, such as part 2 of ")
+    assert many.count(f"of {len(cube.tets)} tets about") == 3
+
+
+@pytest.mark.parametrize(
+    "meant",
+    [
+        {"second_foot": FOOT},
+        {"throw": InitialMotion(velocity=(0.0, 0.0, 1.0), region=HalfSpace((1.5, 0.0, 0.0), (-1.0, 0.0, 0.0)))},
+        {"floor": FloorContact()},
+    ],
+)
+def test_a_part_that_is_held_thrown_or_over_a_floor_is_no_doubt(cube: TetMesh, caplog: pytest.LogCaptureFixture, meant: dict[str, Effect]) -> None:
+    with caplog.at_level(logging.WARNING, logger="sdfnet.physics.plan"):
+        plan(scene_of(foot=LEFT_FOOT, push=PUSH, **meant), beside_itself(cube, 2))
+    assert caplog.messages == []
+
+
+@pytest.mark.parametrize(
+    ("solver", "cure"),
+    [
+        (Solver(), "shorten recording.duration, set solver.integrator=newmark or modal, whose step is free, or mesh without the tet that governs the step"),
+        (Solver("newmark", time_step=1e-9), "raise solver.time_step, set it to auto, or shorten recording.duration"),
+    ],
+)
+def test_more_steps_than_anybody_waits_for_are_shown_and_refused_with_the_days_that_they_take(make_box: MakeBox, solver: Solver, cure: str) -> None:
+    scene = replace(scene_of(foot=FOOT, push=PUSH), recording=Recording(duration=1e8, frames=3), solver=solver)
+    compiled = plan(scene, make_box([0, 1], [0, 1], [0, 1]))
+    assert compiled.steps > 1e9
+    days = r"\S+ s \(\S+ days\)"
+    assert re.search(rf"\n  {days} predicted for the steps\n  a run refuses more than 1e\+08 steps; {re.escape(cure)}$", compiled.describe())
+    message = rf"^a run may take 1e\+08 steps, this one would take \S+ of \S+ s, about {days} of computing; {re.escape(cure)}$"
+    with pytest.raises(PhysicsError, match=message):
+        run(compiled)
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(1.0, "1 s"), (7300.0, "7.3e+03 s (2 hours)"), (1e6, "1e+06 s (12 days)")])
+def test_a_long_time_is_told_in_hours_or_days(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
 
 
 @pytest.mark.parametrize(("element", "poisson_ratio", "warns"), [("P1_nodal_pressure", 0.4999, False), ("P2", 0.49, False), ("P2", 0.4995, True)])

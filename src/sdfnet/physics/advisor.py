@@ -11,12 +11,13 @@ from sdfnet.physics.advice.costs import damping_cost, law_cost
 from sdfnet.physics.advice.numbers import SMALLEST_CHANGE, SMALLEST_LOSS, Number, deformation, element_numbers, gap, strain_numbers, transits, weight_numbers
 from sdfnet.physics.advice.reduced_laws import COUNTERPARTS, contact, finite_strain_excess, linear_tets
 from sdfnet.physics.advice.trial import Trial
+from sdfnet.physics.doubts import LARGEST_LINEAR_STRAIN
 from sdfnet.physics.effects.body_force import BodyForce
 from sdfnet.physics.effects.finite_strain import FiniteStrain
 from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.gravity import Gravity
 from sdfnet.physics.effects.roles import Damping
-from sdfnet.physics.plan import LARGEST_LINEAR_STRAIN, Plan
+from sdfnet.physics.plan import Plan
 from sdfnet.scene import Material
 
 TYPICAL_RATIO = 0.02  # damping ratio assumed where the scene has no damping: rubber and plastics have some hundredths

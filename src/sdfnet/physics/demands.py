@@ -40,6 +40,7 @@ class Demands:
     damping: Damping
     replaces_elasticity: bool
     lines: list[str]  # one for each effect: its name, type and what it does here
+    case_lines: list[str]  # the same for each load case
     report: Report
 
     @property
@@ -68,7 +69,7 @@ class Demands:
 def demands_of(scene: Scene, model: ElasticModel) -> Demands:
     """Ask every effect for what its roles promise. Raises ConfigurationError or PhysicsError for what cannot be."""
     shape = model.elements.nodes.shape
-    demands = Demands(np.zeros(shape, dtype=np.bool_), Start(np.zeros(shape), np.zeros(shape)), {}, {}, {}, Damping(), False, [], {})
+    demands = Demands(np.zeros(shape, dtype=np.bool_), Start(np.zeros(shape), np.zeros(shape)), {}, {}, {}, Damping(), False, [], [], {})
     deeds: dict[str, list[str]] = {name: [] for name in scene.effects}
     for role, ask in _ROLES.items():  # role by role: what is held must be known before contact asks for it
         for name, effect in scene.effects.items():
@@ -113,6 +114,11 @@ def _load(demands: Demands, name: str, effect: AddsLoad, model: ElasticModel) ->
     if not load.nodal_force.any() or not any(load.history.values):
         return "adds a load of nothing, which is left out"
     demands.loads[name] = load
+    return _adds(load)
+
+
+def _adds(load: Load) -> str:
+    """What a load does, in words."""
     kind = "constant load" if load.history.is_constant else f"load over time from {load.history.times[0]:g} to {load.history.times[-1]:g} s"
     return f"adds a {kind} ({', '.join(f'{key} {_short(value)}' for key, value in load.report.items())})"
 
@@ -169,6 +175,7 @@ def _add_cases(demands: Demands, scene: Scene, model: ElasticModel) -> None:
         load = effect.load(model)
         demands.report.update({f"{name}_{key}": value for key, value in load.report.items()})
         demands.case_loads[name] = load
+        demands.case_lines.append(f"{name}: {type(effect).__name__} {_adds(load)}")
     if scene.load_cases and demands.laws:
         raise ConfigurationError(f"load cases in one run need a linear scene, found '{next(iter(demands.laws))}'; simulate the cases one by one")
 

@@ -5,6 +5,8 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from sdfnet.geometry.tetmesh import TetMesh
 
@@ -47,6 +49,13 @@ class FiniteElements:
         mask = np.zeros(len(self.nodes), dtype=np.bool_)
         mask[self.boundary_faces] = True
         return mask
+
+    @cached_property
+    def part_of(self) -> Int64[np.ndarray, " nodes"]:
+        """The number of the connected part that each node belongs to, from 0; parts share no node, and so move apart."""
+        ends = np.repeat(self.tets[:, :1], self.tets.shape[1] - 1, axis=1).ravel(), self.tets[:, 1:].ravel()
+        _, parts = connected_components(coo_matrix((np.ones(len(ends[0])), ends), shape=2 * (len(self.nodes),)), directed=False)
+        return parts.astype(np.int64)
 
     @cached_property
     def surface_areas(self) -> Float64[np.ndarray, " nodes"]:

@@ -11,13 +11,13 @@ from sdfnet.scene import Scene
 logger = logging.getLogger(__name__)
 
 LARGEST_MISS = 0.1  # of a load's strength, where it bends: a rise of three steps at worst, a half sine of eight, a triangle of ten
-MOST_STEPS = 10**5  # that auto takes to follow a load: one that is over sooner still is a jump or a blow, whose impulse any step keeps
+MOST_STEPS_TO_FOLLOW = 10**5  # that auto takes to follow a load: one that is over sooner still is a jump or a blow, whose impulse any step keeps
 
 
 def following_loads(scene: Scene, demands: Demands, count: int) -> tuple[int, str]:
     """As many steps per frame as the loads over time need, and which of them needs more than `count`.
 
-    A given step stays, and so does auto's where a load asks for more than MOST_STEPS: both with a warning that measures
+    A given step stays, and so does auto's where a load asks for more than MOST_STEPS_TO_FOLLOW: both with a warning that measures
     what is missed.
     """
     duration, intervals, shortened_for = scene.recording.duration, scene.recording.frames - 1, ""
@@ -25,9 +25,9 @@ def following_loads(scene: Scene, demands: Demands, count: int) -> tuple[int, st
     if scene.solver.time_step == "auto":
         for name, load in loads.items():
             finer = count
-            while load.history.largest_miss(duration / (finer * intervals), duration) > LARGEST_MISS and finer * intervals <= MOST_STEPS:
+            while load.history.largest_miss(duration / (finer * intervals), duration) > LARGEST_MISS and finer * intervals <= MOST_STEPS_TO_FOLLOW:
                 finer *= 2
-            if count < finer <= MOST_STEPS / intervals:
+            if count < finer <= MOST_STEPS_TO_FOLLOW / intervals:
                 count, shortened_for = finer, name
     for name, load in loads.items():
         _warn_if_missed(name, load.history, duration / (count * intervals), duration, has_laws=bool(demands.laws))

@@ -15,21 +15,21 @@ from sdfnet.checked import taken
 from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.demands import Demands, demands_of
+from sdfnet.physics.doubts import NOTHING_MOVES, doubts
 from sdfnet.physics.effects.roles import ChangesMaterial, Report
 from sdfnet.physics.elasticity import ElasticModel, assemble
 from sdfnet.physics.energy_watch import EnergyWatch
-from sdfnet.physics.following_loads import MOST_STEPS, following_loads
+from sdfnet.physics.following_loads import MOST_STEPS_TO_FOLLOW, following_loads
 from sdfnet.physics.integrators import INTEGRATORS, Integrator
 from sdfnet.physics.mass import mass_of
 from sdfnet.physics.materials import with_inclusions
 from sdfnet.physics.motion import EquationOfMotion, TimedLoad
 from sdfnet.physics.stability import StepLimits, step_limits
-from sdfnet.scene import Material, Scene, Solver
+from sdfnet.scene import Scene, Solver
 
 logger = logging.getLogger(__name__)
 
-LARGEST_LINEAR_STRAIN = 0.1  # linear elasticity drops terms of the strain squared: above this they are ten percent of it
-LOCKING_POISSON_RATIO = {"P1": 0.45, "P1_nodal_pressure": 0.5, "P2": 0.499}  # above it the element is visibly too stiff
+MOST_STEPS = 10**8  # of a run: hours of the smallest solid
 ROUNDING = 1e-9  # relative: how far interval / step may be from a whole number and still count as one
 STEPS_PER_SEGMENT = 4  # of a load's history, that Newmark takes with time_step auto
 IMPLICIT_STEPS_PER_FRAME = 10  # of Newmark with time_step auto: what happens within a frame's interval is not asked for
@@ -129,16 +129,30 @@ class Plan:
             seconds.append(time.perf_counter() - start)
         return float(np.median(seconds[len(seconds) // 2 :])) * self.steps
 
+    def require_bearable(self) -> None:
+        """Raise PhysicsError when there are more steps than anybody waits for, with the time that they would take."""
+        if self.steps > MOST_STEPS:
+            raise PhysicsError(
+                f"a run may take {MOST_STEPS:.0e} steps, this one would take {self.steps:.2g} of {self.time_step:.2g} s, about "
+                f"{duration(self.predicted_seconds())} of computing; {self._fewer_steps()}"
+            )
+
+    def _fewer_steps(self) -> str:
+        if self.limits is None or self.scene.solver.time_step != "auto":
+            return "raise solver.time_step, set it to auto, or shorten recording.duration"
+        return "shorten recording.duration, set solver.integrator=newmark or modal, whose step is free, or mesh without the tet that governs the step"
+
     def describe(self) -> str:
         """The plan for the screen: effects, matrices, step limits, step and predicted seconds."""
         solver, recording = self.scene.solver, self.scene.recording
         mass = "lumped (diagonal, no solve)" if solver.mass == "lumped" else "consistent (a sparse solve per step)"
-        n_free, cases = int((~self.fixed).sum()), len(self.demands.case_loads)
+        n_free, cases = int((~self.fixed).sum()), self.demands.case_lines
         limit = "" if self.limits is None else f" ({self.time_step / self.limits.of(solver.mass):.2f} of the limit)"
         lines = [
             "effects",
             *(f"  {line}" for line in self.demands.lines),
-            *([f"  {cases} load cases in one run, a column each"] if cases else []),
+            *([] if self.demands.moves else [f"  {NOTHING_MOVES}"]),
+            *([f"{len(cases)} load cases in one run, a column each", *(f"  {line}" for line in cases)] if cases else []),
             "matrices",
             f"  {solver.element} elements, stiffness {self.fixed.size} x {self.fixed.size}, {self.model.stiffness.nnz} entries, "
             f"{n_free} degrees of freedom free; mass {mass}",
@@ -147,7 +161,8 @@ class Plan:
             f"  {solver.integrator}: {self._kernel()}",
             f"  {self.time_step:.4e} s{limit}" + (f", so short to follow the load '{self.shortened_for}' over time" if self.shortened_for else ""),
             f"  {self.steps} steps, {self.steps_per_frame} per frame, {recording.frames} frames over {recording.duration:g} s",
-            f"  {self.predicted_seconds():.2g} s predicted for the steps",
+            f"  {duration(self.predicted_seconds())} predicted for the steps",
+            *([f"  a run refuses more than {MOST_STEPS:.0e} steps; {self._fewer_steps()}"] if self.steps > MOST_STEPS else []),
         ]
         return "\n".join(lines)
 
@@ -167,18 +182,26 @@ class Plan:
         return ", ".join(parts + [f"the force of {name}" for name in demands.laws])
 
 
+def duration(seconds: float) -> str:
+    """Seconds, and beside many of them the hours or days that they are."""
+    days = seconds / 86400
+    longer = f" ({days:.2g} days)" if days > 2 else f" ({24 * days:.2g} hours)" if days > 1 / 12 else ""
+    return f"{seconds:.2g} s{longer}"
+
+
 def plan(scene: Scene, mesh: TetMesh) -> Plan:
     """Ask every effect for what its roles promise, and choose the step.
 
     Raises PhysicsError for a step over the true limit, a load or a constraint on nothing, and a scene in which nothing
     can move; ConfigurationError for effects or methods that do not go together. Logs a warning where the scene lies
-    outside linear elasticity, where the elements lock, and where nothing holds or loads the solid.
+    outside linear elasticity, where the elements lock, and where nothing holds the solid or a part of it.
     """
     scene, mesh = taken("the scene", scene, Scene), taken("the mesh, which for example Sphere().tet_mesh() makes,", mesh, TetMesh)
     inclusions = {name: (effect.tets(mesh), effect.material) for name, effect in scene.effects.items() if isinstance(effect, ChangesMaterial)}
     model = assemble(mesh, with_inclusions(mesh, scene.material, inclusions), scene.solver.element, scene.solver.mass)
     demands = demands_of(scene, model)
-    _warn_about_validity(scene, model, demands)
+    for doubt in doubts(scene, model, demands):
+        logger.warning("%s", doubt)
     kind = INTEGRATORS[scene.solver.integrator]
     limits = step_limits(model, demands.fixed, demands.added_stiffness, demands.damping, demands.stable_fraction) if kind.is_explicit else None
     count = _steps_per_frame(scene, demands, limits)
@@ -215,27 +238,4 @@ def _longest_unlimited_step(scene: Scene, demands: Demands) -> float:
         return interval
     histories = [load.history for load in (demands.loads | demands.case_loads).values() if not load.history.is_constant]
     pieces = [float(np.diff(history.times).min()) / STEPS_PER_SEGMENT for history in histories]
-    return min([interval / IMPLICIT_STEPS_PER_FRAME, *(piece for piece in pieces if scene.recording.duration / piece <= MOST_STEPS)])
-
-
-def _warn_about_validity(scene: Scene, model: ElasticModel, demands: Demands) -> None:
-    element, poisson_ratio = scene.solver.element, float(np.max(model.material.poisson_ratio))
-    strain = demands.stress / float(np.min(model.material.youngs_modulus))
-    if poisson_ratio > LOCKING_POISSON_RATIO[element]:
-        kind, cure = "linear" if element == "P1" else "quadratic", "set solver.element=P1_nodal_pressure"
-        if element == "P2":  # the other element would cost more in bending than it cures here
-            cure = "lower the Poisson ratio, or compare with a finer mesh"
-        elif not isinstance(model.material, Material):  # which that element refuses
-            cure = "set solver.element=P2"
-        limit = LOCKING_POISSON_RATIO[element]
-        logger.warning("Poisson ratio %.5g > %.3g: %s tets lock and the solid will look too stiff; %s", poisson_ratio, limit, kind, cure)
-    if strain > LARGEST_LINEAR_STRAIN and not demands.replaces_elasticity:
-        logger.warning(
-            "outside linear elasticity: the load is %.2g of Young's modulus, valid up to about %.2g; it is run as asked (the paper's own scene has 0.8)",
-            strain,
-            LARGEST_LINEAR_STRAIN,
-        )
-    if not demands.moves:
-        logger.warning("nothing loads the solid or moves it: every frame will be the rest state")
-    if not demands.fixed.any():
-        logger.warning("nothing holds the solid: it flies freely")
+    return min([interval / IMPLICIT_STEPS_PER_FRAME, *(piece for piece in pieces if scene.recording.duration / piece <= MOST_STEPS_TO_FOLLOW)])

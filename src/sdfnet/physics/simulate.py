@@ -11,11 +11,12 @@ from jaxtyping import Float64
 
 from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.doubts import LARGEST_LINEAR_STRAIN, NOTHING_MOVES
 from sdfnet.physics.effects.roles import Report
 from sdfnet.physics.elasticity import displacement_gradients
 from sdfnet.physics.energy_watch import EnergyWatch
 from sdfnet.physics.integrators.integrator import State
-from sdfnet.physics.plan import LARGEST_LINEAR_STRAIN, Plan, plan
+from sdfnet.physics.plan import Plan, plan
 from sdfnet.physics.trajectory import Trajectory
 from sdfnet.scene import Scene
 
@@ -62,7 +63,7 @@ def run(
     resume: Snapshot | None = None,
     keep: Callable[[Snapshot], None] | None = None,
 ) -> Trajectory:
-    """Take the steps of a plan. Raises SimulationStopped, and PhysicsError for a snapshot of another plan.
+    """Take the steps of a plan. Raises SimulationStopped, and PhysicsError for a snapshot of another plan and for more steps than anybody waits for.
 
     `keep` is handed a snapshot after every frame, to write or to pass over; `resume` goes on from one, bit for bit.
     """
@@ -72,6 +73,9 @@ def run(
             f"a run can only go on from a snapshot of its own plan, {fingerprint}, found one of plan {resume.fingerprint or 'unknown'}: "
             "scene, mesh or step differ; begin the run anew, or plan what the snapshot was taken from"
         )
+    compiled.require_bearable()
+    if not compiled.demands.moves:
+        logger.warning("%s", NOTHING_MOVES)
     recording, integrator, watch = compiled.scene.recording, *compiled.compile(device)
     motion = integrator.motion
     times = np.linspace(0.0, recording.duration, recording.frames)

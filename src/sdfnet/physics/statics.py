@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.sparse import coo_matrix, csr_matrix, diags
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg, splu
 
 from sdfnet.checked import taken
@@ -69,10 +68,9 @@ def require_linear(compiled: Plan, wanted: str) -> None:
 def _require_held(compiled: Plan) -> None:
     """Raise PhysicsError when a connected part of the solid can be moved as a rigid body with all fixed components at rest."""
     elements = compiled.model.elements
-    ends = np.repeat(elements.tets[:, :1], elements.tets.shape[1] - 1, axis=1).ravel(), elements.tets[:, 1:].ravel()
-    count, part_of = connected_components(coo_matrix((np.ones(len(ends[0])), ends), shape=2 * (len(elements.nodes),)), directed=False)
+    count = int(elements.part_of.max()) + 1
     for part in range(count):
-        nodes = np.flatnonzero(part_of == part)
+        nodes = np.flatnonzero(elements.part_of == part)
         held = compiled.fixed[nodes].ravel()
         motions = rigid_motions(elements.nodes[nodes]).reshape(6, -1)
         strengths = np.linalg.svd(motions[:, held], compute_uv=False) if held.any() else np.zeros(6)

@@ -6,10 +6,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from sdfnet.geometry.tetmesh import TetMesh
+from sdfnet.physics.doubts import LARGEST_LINEAR_STRAIN, LOCKING_POISSON_RATIO
 from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.elasticity import displacement_gradients
-from sdfnet.physics.plan import LARGEST_LINEAR_STRAIN, LOCKING_POISSON_RATIO, Plan
+from sdfnet.physics.plan import Plan
 from sdfnet.scene import Material
 
 SMALLEST_CHANGE = 0.05  # of the displacements: linear tets of usual size err by as much themselves
