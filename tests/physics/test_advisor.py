@@ -1,6 +1,7 @@
 """Advice against ablation: the same scene really run with and without each effect, where the answer is yes and where it is no."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,9 @@ from sdfnet.geometry.solids import Box, Sphere
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.advice.numbers import SMALLEST_CHANGE
 from sdfnet.physics.advice.trial import Trial
-from sdfnet.physics.advisor import CALLED_FOR, COULD_GO, LEFT_OUT, NEEDED, Advice, advise, lines, typical_damping
+from sdfnet.physics.advice.wording import ANOTHER, CALLED_FOR, CHEAPER, COULD_GO, IF_THERE, LEFT_OUT, NEEDED, SUFFICES, Advice
+from sdfnet.physics.advisor import advise, lines, typical_damping
+from sdfnet.physics.effects.body_force import BodyForce
 from sdfnet.physics.effects.finite_strain import FiniteStrain
 from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.gravity import Gravity
@@ -118,7 +121,15 @@ def test_finite_strain_changes_as_much_as_predicted(case: Case, verdict: str) ->
     assert_within_factor(advice.predicted_change, real_change(case, with_effect(case, "finite", FiniteStrain())))
 
 
-@pytest.mark.parametrize(("case", "verdict"), [(dropped(0.005), CALLED_FOR), (beam(30.0), CALLED_FOR), (dropped(0.0012), LEFT_OUT)])
+def test_a_change_of_finite_strain_over_one_is_only_said_to_be_that() -> None:
+    row = replace(advice_on("finite_strain", block(20.0)), predicted_change=1.96)  # a real run has changed by 16.1 there
+    assert row.change == "over 100 %"
+    assert replace(row, predicted_change=0.96).change == "96 %"
+    assert replace(row, effect="gravity").change == "196 %"  # a linear trial keeps count
+    assert " over 100 %  " in lines([row])[1]
+
+
+@pytest.mark.parametrize(("case", "verdict"), [(dropped(0.005), IF_THERE), (beam(30.0), IF_THERE), (dropped(0.0012), LEFT_OUT)])
 def test_a_floor_changes_as_much_as_predicted(case: Case, verdict: str) -> None:
     advice = advice_on("floor_contact", case)
     assert advice.verdict == verdict
@@ -132,12 +143,78 @@ def test_a_floor_out_of_reach_changes_nothing() -> None:
     assert advice.value > 0
 
 
-@pytest.mark.parametrize(("ratio", "verdict"), [(0.49, CALLED_FOR), (0.3, LEFT_OUT)])
-def test_another_element_changes_as_much_as_predicted(ratio: float, verdict: str) -> None:
-    case = block(20.0, material=Material(poisson_ratio=ratio))
+def test_a_scene_that_names_no_floor_is_told_of_one_as_a_guess() -> None:
+    advice = advice_on("floor_contact", beam(30.0))
+    assert advice.sentence.startswith("the solid would pass z = 0: add floor_contact if a floor is there, it would change")
+
+
+def test_nodal_pressure_in_place_of_tets_that_lock_changes_as_much_as_predicted() -> None:
+    case = block(20.0, material=Material(poisson_ratio=0.49))
+    advice = advice_on("element", case)
+    assert advice.verdict == ANOTHER
+    assert advice.sentence.startswith("set solver.element=P1_nodal_pressure: linear tets lock at this Poisson ratio")
+    assert_within_factor(advice.predicted_change, real_change(case, (replace(case[0], solver=Solver(element="P1_nodal_pressure")), case[1])))
+
+
+def bent(cells: tuple[int, int, int], element: str = "P1", poisson_ratio: float = 0.4, duration: float = 0.04) -> Case:
+    """A beam out of a wall that bends under its weight, from rest."""
+    effects = WALL | {"weight": BodyForce((0.0, 0.0, -1.0))}
+    scene = Scene(Geometry(), effects, Material(poisson_ratio=poisson_ratio), Recording(duration, 21), Solver("newmark", element=element))
+    return scene, Box((0.2, 0.03, 0.03), cells).tet_mesh()
+
+
+def weighed(element: str = "P1", poisson_ratio: float = 0.0) -> Case:
+    """A block that sinks a little under its weight: nothing bends."""
+    effects = FOOT | {"weight": BodyForce((0.0, 0.0, -1.0))}
+    return Scene(Geometry(), effects, Material(poisson_ratio=poisson_ratio), Recording(0.003, 21), Solver("newmark", element=element)), BLOCK
+
+
+@pytest.mark.parametrize(
+    ("case", "verdict"),
+    [
+        (bent((12, 1, 1)), ANOTHER),
+        (bent((12, 2, 2), poisson_ratio=0.0), ANOTHER),
+        (bent((12, 1, 1), "P1_nodal_pressure"), ANOTHER),
+        (weighed(), SUFFICES),
+    ],
+)
+def test_quadratic_tets_change_as_much_as_predicted(case: Case, verdict: str) -> None:
+    rows = [row for row in advise(plan(*case)) if row.effect == "element"]
+    quadratic = replace(case[0], solver=Solver("newmark", element="P2"))
+    assert {row.verdict for row in rows} == {verdict}
+    assert_within_factor(
+        rows[0].predicted_change, real_change((replace(case[0], solver=replace(case[0].solver, integrator="newmark")), case[1]), (quadratic, case[1]))
+    )
+    static = next(row for row in rows if row.number == "static answer of P2, change of displacements")
+    linear, exact = static_solution(plan(*case)), static_solution(plan(quadratic, case[1]))[: len(case[1].nodes)]
+    assert_within_factor(static.value, float(np.linalg.norm(exact - linear) / np.linalg.norm(linear)))
+    assert (static.value > static.threshold) == (verdict == ANOTHER)
+
+
+def test_a_beam_too_stiff_in_bending_is_told_so_with_the_cure_and_what_it_costs() -> None:
+    scene, mesh = bent((12, 1, 1), duration=0.005)
+    advice = advice_on("element", (scene, mesh))
+    assert advice.sentence.startswith(
+        "set solver.element=P2 or refine the mesh: these tets are too stiff here, as in bending; the static answer of P2 differs by "
+    )
+    assert re.fullmatch("P2 has [0-9.]+ times the matrix entries, and so about the time per step", advice.cost)
+    explicit = advice_on("element", (replace(scene, solver=Solver()), mesh))
+    assert explicit.cost == f"{advice.cost}; it needs about twice the steps"
+    finite = advice_on("element", (replace(scene, effects=scene.effects | {"finite": FiniteStrain()}, solver=Solver()), mesh))
+    assert finite.sentence.startswith("refine the mesh (finite_strain knows no P2): ")
+
+
+@pytest.mark.parametrize(("poisson_ratio", "verdict"), [(0.3, CHEAPER)])
+def test_linear_tets_in_place_of_nodal_pressure_change_as_much_as_predicted(poisson_ratio: float, verdict: str) -> None:
+    case = weighed("P1_nodal_pressure", poisson_ratio)
     advice = advice_on("element", case)
     assert advice.verdict == verdict
-    assert_within_factor(advice.predicted_change, real_change(case, (replace(case[0], solver=Solver(element="P1_nodal_pressure")), case[1])))
+    assert_within_factor(advice.predicted_change, real_change(case, weighed("P1", poisson_ratio)))
+
+
+def test_a_solid_in_which_nothing_strains_may_keep_its_element() -> None:
+    advice = advice_on("element", dropped(0.005))
+    assert (advice.verdict, advice.predicted_change) == (SUFFICES, 0.0)
 
 
 def test_linear_tets_in_place_of_quadratic_ones_change_as_much_as_predicted() -> None:
@@ -219,6 +296,20 @@ def test_a_free_solid_keeps_its_motion_and_is_not_braked_by_typical_damping() ->
     assert (advice_on("inertia", case).verdict, advice_on("inertia", case).predicted_change) == (NEEDED, math.inf)
     assert typical_damping(Trial(plan(*case))).mass == 0
     assert advice_on("rayleigh_damping", case).predicted_change < 1e-9  # a flight without strain
+
+
+def test_no_damping_is_suggested_that_would_brake_a_flight() -> None:
+    advice = advice_on("rayleigh_damping", with_effect(dropped(0.005), "finite", FiniteStrain()))
+    assert advice.verdict == LEFT_OUT
+    assert math.isnan(advice.predicted_change)
+    assert "would brake the flight of a solid that nothing holds" in advice.sentence
+
+
+@pytest.mark.parametrize("case", [block(40.0), ball(800.0)])
+def test_damping_that_was_suggested_is_needed_once_it_is_there(case: Case) -> None:
+    damping = typical_damping(Trial(plan(*case)))
+    assert advice_on("rayleigh_damping", case).verdict == CALLED_FOR
+    assert advice_on("rayleigh_damping", with_effect(case, "damping", RayleighDamping(damping.mass, damping.stiffness))).verdict == NEEDED
 
 
 def test_no_floor_is_tried_inside_the_solid() -> None:

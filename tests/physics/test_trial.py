@@ -1,6 +1,7 @@
 """The coordinates and numbers of a trial, each against what it stands for."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,21 +10,26 @@ import pytest
 from sdfnet.geometry.solids import Box, Sphere
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.advice.numbers import deformation
+from sdfnet.physics.advice.quadratic_tets import QuadraticTets, entries_beside_linear
 from sdfnet.physics.advice.reduced_laws import counterpart_element, finite_strain_excess
 from sdfnet.physics.advice.trial import Trial
 from sdfnet.physics.effects.finite_strain import FiniteStrain
 from sdfnet.physics.effects.floor_contact import FloorContact
 from sdfnet.physics.effects.gravity import Gravity
+from sdfnet.physics.effects.inclusion import Inclusion
 from sdfnet.physics.effects.initial_motion import InitialMotion
 from sdfnet.physics.effects.pinned import Pinned
 from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.effects.rigid_finger import RigidFinger
+from sdfnet.physics.elasticity import assemble
 from sdfnet.physics.plan import plan
+from sdfnet.physics.regions import Ball
 from sdfnet.physics.simulate import run
 from sdfnet.physics.statics import static_solution
-from sdfnet.scene import Geometry, Recording, Scene, Solver
+from sdfnet.scene import Geometry, Material, Recording, Scene, Solver
 
 BLOCK = Box((0.1, 0.1, 0.1), (5, 5, 5)).tet_mesh()
+COARSE = Box((0.1, 0.1, 0.1), (2, 2, 2)).tet_mesh()
 BALL = TetMesh(Sphere(0.05, 4).tet_mesh().nodes + [0.0, 0.0, 0.051], Sphere(0.05, 4).tet_mesh().tets)
 THROWN = Scene(Geometry(), {"throw": InitialMotion(velocity=(0.0, 0.0, -1.0))}, recording=Recording(0.005, 21))
 
@@ -81,3 +87,29 @@ def test_finite_strain_changes_quadratic_elements_about_as_much_as_linear_ones()
         changes[element] = Trial(compiled).law_change(finite_strain_excess(compiled))
     assert changes["P1_nodal_pressure"] == pytest.approx(changes["P1"], rel=0.7)  # softer, and so strained more
     assert changes["P2"] == pytest.approx(changes["P1"], rel=0.7)
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.0, 0.45])
+def test_quadratic_tets_without_a_matrix_are_those_of_the_assembly(poisson_ratio: float) -> None:
+    scene = Scene(Geometry(), {"foot": Pinned(), "core": Inclusion(Ball((0.05, 0.05, 0.05), 0.04), Material(2e4, poisson_ratio))}, Material(poisson_ratio=0.3))
+    linear, quadratic = (plan(replace(scene, solver=Solver("newmark", element=element)), COARSE) for element in ("P1", "P2"))
+    tets = QuadraticTets(linear.model, linear.fixed)
+    nodes, generator = len(COARSE.nodes), np.random.default_rng(0)
+    held = np.concatenate([linear.fixed, linear.fixed[tets.ends].all(axis=1)])
+    displacement = np.where(held, 0.0, generator.normal(size=held.shape))
+    elements = quadratic.model.elements
+    order = [int(np.flatnonzero(np.isclose(elements.nodes, COARSE.nodes[ends].mean(axis=0), atol=1e-12).all(axis=1))[0]) for ends in tets.ends]
+    whole = np.zeros(elements.nodes.shape)
+    whole[:nodes], whole[order] = displacement[:nodes], displacement[tets.ends].mean(axis=1) + displacement[nodes:]
+    force = (quadratic.model.stiffness @ whole.ravel()).reshape(-1, 3)
+    expected = np.concatenate([force[:nodes], force[order]])
+    for end in (0, 1):  # of the force at a middle every end takes half
+        np.add.at(expected, tets.ends[:, end], force[order] / 2)
+    np.testing.assert_allclose(tets.product(displacement), np.where(held, 0.0, expected), atol=1e-12 * np.abs(force).max())
+
+
+def test_the_matrix_of_quadratic_tets_is_counted_without_it(make_box: Callable[..., TetMesh]) -> None:
+    mesh = make_box([0, 1, 2], [0, 1, 3], [0, 1], jitter=0.0)
+    jittered = TetMesh(mesh.nodes + np.random.default_rng(0).uniform(-0.1, 0.1, mesh.nodes.shape), mesh.tets)  # on a grid entries cancel
+    linear, quadratic = (assemble(jittered, Material(), element) for element in ("P1", "P2"))
+    assert entries_beside_linear(linear) == pytest.approx(quadratic.stiffness.nnz / linear.stiffness.nnz, rel=1e-12)

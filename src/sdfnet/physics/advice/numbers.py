@@ -85,6 +85,11 @@ def element_numbers(compiled: Plan) -> list[Number]:
     ]
 
 
+def quadratic_number(change: float) -> Number:
+    """What the static answer of quadratic tets to the same elastic forces adds to the displacements."""
+    return Number("static answer of P2, change of displacements", change, SMALLEST_CHANGE)
+
+
 def transits(compiled: Plan) -> Number:
     """How often sound crosses the solid during the run."""
     crossings = compiled.scene.recording.duration * float(np.max(compiled.model.material.pressure_wave_speed)) / compiled.model.mesh.diagonal

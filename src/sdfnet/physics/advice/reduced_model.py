@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 from scipy.linalg import eigh
 from scipy.sparse import csr_matrix
 
@@ -55,6 +55,9 @@ class ReducedModel:
     shapes: Float64[np.ndarray, "dofs coordinates"]  # kg^-1/2
     squared: Float64[np.ndarray, " coordinates"]  # 1/s^2
     is_mode: Bool[np.ndarray, " coordinates"]
+    worked: Float64[np.ndarray, "dofs coordinates"] | None = (
+        None  # kg^-1/2, what forces and inertia do work on where these are not the shapes: `QuadraticAnswer.worked`
+    )
 
     def with_answers(self, stiffness: csr_matrix, answers: Answers, forces: Float64[np.ndarray, "dofs columns"]) -> "ReducedModel":
         """The same with the static answers to these forces (N) as coordinates of their own, but for what the coordinates have already."""
@@ -79,6 +82,18 @@ class ReducedModel:
         vectors, squared = _rayleigh_ritz(self.mass, stiffness, answers(self.mass.product(self.shapes)))
         return replace(self, shapes=vectors, squared=squared, is_mode=np.arange(len(squared)) < self.is_mode.sum())
 
+    def part(self, kept: Int64[np.ndarray, " kept"]) -> "ReducedModel":
+        """Only these coordinates, modes before answers."""
+        return ReducedModel(self.mass, self.shapes[:, kept], self.squared[kept], self.is_mode[kept])
+
+    def spanned(
+        self, vectors: Float64[np.ndarray, "dofs columns"], worked: Float64[np.ndarray, "dofs columns"], energies: Float64[np.ndarray, "columns columns"]
+    ) -> "ReducedModel":
+        """Another solid with this mass: the modes in the span of some vectors, whose products in its stiffness are `energies`."""
+        squared, turns = eigh(energies, worked.T @ self.mass.product(worked))
+        is_mode = np.arange(len(squared)) < self.is_mode.sum()
+        return ReducedModel(self.mass, vectors @ turns, np.maximum(squared, 0.0), is_mode, worked @ turns)
+
     def motion(
         self, acting: Acting, times: Float64[np.ndarray, " frames"], steps_per_frame: int, counted: Sequence[ReducedLaw] | None = None
     ) -> Float64[np.ndarray, "frames coordinates"]:
@@ -97,7 +112,7 @@ class ReducedModel:
         onward = np.linalg.inv(inertia + np.diag(h / 2 * damping))
         ends = np.maximum(h * (np.arange(steps_per_frame * (len(times) - 1) + 1) - 0.5), 0.0)  # as leapfrog counts them: no impulse is lost
         load = self._pushes(acting.loads, [load.history.means(ends) for load in acting.loads], len(ends) - 1)
-        amplitude, rate = (self.shapes.T @ self.mass.product(values[:, None])[:, 0] for values in (acting.displacement, acting.velocity))
+        amplitude, rate = (self._work(self.mass.product(values[:, None])[:, 0]) for values in (acting.displacement, acting.velocity))
         result = np.zeros((len(times), len(amplitude)))
         result[0] = amplitude
         rate -= h / 2 * np.linalg.solve(inertia, self._pull(acting.laws, load[0], amplitude, 0.0) - damping * rate)
@@ -117,14 +132,18 @@ class ReducedModel:
     def _pushes(self, loads: Sequence[TimedLoad], factors: Sequence[Float64[np.ndarray, " times"]], count: int) -> Float64[np.ndarray, "times coordinates"]:
         result = np.zeros((count, len(self.squared)))
         for load, strengths in zip(loads, factors, strict=True):
-            result += np.outer(strengths, self.shapes.T @ load.force[:, 0])
+            result += np.outer(strengths, self._work(load.force[:, 0]))
+        return result
+
+    def _work(self, force: Float64[np.ndarray, " dofs"]) -> Float64[np.ndarray, " coordinates"]:
+        result: np.ndarray = (self.shapes if self.worked is None else self.worked).T @ force
         return result
 
     def _pull(self, laws: Sequence[ReducedLaw], load: np.ndarray, amplitude: np.ndarray, time: float) -> np.ndarray:
         pull: np.ndarray = load - self.squared * amplitude
         if laws:
             displacement = self.shapes @ amplitude
-            pull = pull + self.shapes.T @ sum(law.force(displacement, time) for law in laws)
+            pull = pull + self._work(sum((law.force(displacement, time) for law in laws), np.zeros(len(displacement))))
         return pull
 
 

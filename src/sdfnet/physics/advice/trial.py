@@ -5,11 +5,12 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 from scipy.sparse import csr_matrix
 
 from sdfnet.errors import PhysicsError
-from sdfnet.physics.advice.reduced_laws import contact, counterpart_element, finite_strain_excess
+from sdfnet.physics.advice.quadratic_tets import QuadraticTets
+from sdfnet.physics.advice.reduced_laws import contact, counterpart_element, finite_strain_excess, linear_tets
 from sdfnet.physics.advice.reduced_model import Acting, ReducedLaw, ReducedModel, reduced_model, strongest
 from sdfnet.physics.effects.gravity import Gravity
 from sdfnet.physics.effects.history import CONSTANT, History
@@ -25,6 +26,9 @@ MOST_LAW_STEPS = 4_000  # of a trial with a force law: stiffer contacts are foll
 MOST_TET_STEPS = 10_000_000  # tets times steps of such a trial, one to two seconds
 RUNAWAY = 1e3  # diagonals beyond the motion without the law: farther off, a trial has lost its stability
 PROBE = 1e-6  # diagonals by which a contact is pushed in to find its stiffness
+STRAINLESS = 1e-9  # of the displacements: no more than this besides rigid motion is rounding
+CARRIED = 0.9999  # of the squares of a trial, for which quadratic tets are asked: modes near each other mix what neither has alone
+MOST_CARRYING, FEWEST_CARRYING, CARRYING_TETS = 12, 3, 60_000  # coordinates that are asked for: as many as tets times coordinates allow
 REFINEMENTS = (1, 2, 4)  # of the steps of a trial that does
 
 
@@ -96,6 +100,32 @@ class Trial:
         steps = self._steps_per_frame(self.acting.laws)
         other = model.motion(self.acting, self.times, steps, self.acting.laws)
         return self._relative(self._corners(model, other) - self._corners(self.model, self.path)), entries
+
+    def quadratic_change(self) -> tuple[float, float]:
+        """Of quadratic tets in place of linear ones: in their static answer to the elastic forces of the trial, and in the motion.
+
+        Only the coordinates that carry the trial are answered to anew; of the others neither motion has any but rigid ones.
+        """
+        is_elastic = self.model.squared > self.factor.shift
+        most = min(MOST_CARRYING, max(FEWEST_CARRYING, CARRYING_TETS // len(self.compiled.model.mesh.tets)))
+        shares = np.square(self.path).sum(axis=0)
+        carrying = _carrying(shares * is_elastic, most)
+        if shares[carrying].sum() <= STRAINLESS**2 * shares.sum():
+            return 0.0, 0.0
+        kept = np.concatenate([np.flatnonzero(~is_elastic), carrying])  # rigid motion comes first
+        linear, path, count = self.model.part(kept), self.path[:, carrying], len(carrying)
+        shapes = linear.shapes[:, -count:]
+        answer = QuadraticTets(linear_tets(self.compiled), self.compiled.fixed).answer(self.factor.solve, shapes, self.stiffness @ shapes)
+        static = self._relative(self._nodal(path @ (answer.corners - shapes).T))
+        rigid, energies = linear.shapes[:, :-count], np.zeros((len(kept), len(kept)))
+        energies[-count:, -count:] = answer.stiffness
+        vectors, worked = (np.concatenate([rigid, columns], axis=1) for columns in (answer.corners, answer.worked))
+        quadratic = linear.spanned(vectors, worked, energies)
+        contacts = tuple(law for law in self.acting.laws if law.is_contact)  # so few coordinates do not carry an elastic law
+        acting, steps = replace(self.acting, laws=contacts), self._steps_per_frame(contacts)
+        here, there = (self._corners(model, model.motion(acting, self.times, steps, contacts)) for model in (linear, quadratic))
+        size = self._norm(here)
+        return static, self._norm(there - here) / size if self._is_bounded(there, here) and size > 0 else math.inf
 
     @cached_property
     def governing_frequency(self) -> float:
@@ -184,10 +214,13 @@ class Trial:
 
     def _corners(self, model: ReducedModel, path: Float64[np.ndarray, "frames coordinates"]) -> Float64[np.ndarray, "frames nodes 3"]:
         """Displacements at the corners of the tets, m."""
-        values = np.zeros((len(path), self.compiled.fixed.size))
         with np.errstate(over="ignore", invalid="ignore"):
-            values[:, self.free] = path @ model.shapes.T
-        return values.reshape(len(path), -1, 3)[:, : len(self.compiled.model.mesh.nodes)]
+            return self._nodal(path @ model.shapes.T)
+
+    def _nodal(self, displacements: Float64[np.ndarray, "frames dofs"]) -> Float64[np.ndarray, "frames nodes 3"]:
+        values = np.zeros((len(displacements), self.compiled.fixed.size))
+        values[:, self.free] = displacements
+        return values.reshape(len(values), -1, 3)[:, : len(self.compiled.model.mesh.nodes)]
 
     def _relative(self, difference: Float64[np.ndarray, "frames nodes 3"]) -> float:
         """Its norm over that of the displacements; infinite beside a scene in which nothing moves."""
@@ -198,3 +231,10 @@ class Trial:
         mesh = self.compiled.model.mesh
         weights = np.bincount(mesh.tets.ravel(), np.repeat(mesh.volumes / 4, 4), minlength=len(mesh.nodes))
         return math.sqrt(float(np.einsum("n,fnc->", weights, displacements**2)))
+
+
+def _carrying(shares: Float64[np.ndarray, " coordinates"], most: int) -> Int64[np.ndarray, " kept"]:
+    """The fewest coordinates with `CARRIED` of all shares, or the largest `most`, ascending."""
+    order = np.argsort(-shares)
+    enough = 1 + int(np.searchsorted(np.cumsum(shares[order]), CARRIED * shares.sum()))
+    return np.sort(order[: min(enough, most)])
