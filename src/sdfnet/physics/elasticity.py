@@ -33,7 +33,7 @@ class ElasticModel:
     stiffness: csr_matrix  # (3 nodes, 3 nodes) N/m: integral of sigma(u) : epsilon(v)
     consistent_mass: csr_matrix  # (nodes, nodes) kg: integral of rho u v for one component, the paper's
     lumped_mass: Float64[np.ndarray, " nodes"]  # kg: P1 its row sums, P2 each tet's by HRZ
-    mass: str = "lumped"  # which of the two moves: see `Solver.mass`
+    weight_mass: str = "lumped"  # which of the two weighs: consistent where the solid is held, else the one that moves
 
     @property
     def mesh(self) -> TetMesh:
@@ -42,11 +42,11 @@ class ElasticModel:
 
     @property
     def nodal_mass(self) -> Float64[np.ndarray, " nodes"]:
-        """What an acceleration of 1 m/s^2 along one component takes at each node, kg: M 1, with M the mass that moves.
+        """What an acceleration of 1 m/s^2 along one component takes at each node, kg: M 1, with M the mass that weighs.
 
         For a load in proportion to the mass. The sum is rho V; of linear tets it is the same for both masses, to rounding.
         """
-        return self.lumped_mass if self.mass == "lumped" else np.asarray(self.consistent_mass.sum(axis=1)).ravel()
+        return self.lumped_mass if self.weight_mass == "lumped" else np.asarray(self.consistent_mass.sum(axis=1)).ravel()
 
 
 def finite_elements(mesh: TetMesh, element: str = "P1") -> FiniteElements:
@@ -61,8 +61,8 @@ def finite_elements(mesh: TetMesh, element: str = "P1") -> FiniteElements:
     return FiniteElements(mesh, element, nodes, tets)
 
 
-def assemble(mesh: TetMesh, material: Materials, element: str = "P1", mass: str = "lumped") -> ElasticModel:
-    """Stiffness and both masses of the solid, in float64; `mass` names the one that moves.
+def assemble(mesh: TetMesh, material: Materials, element: str = "P1", weight_mass: str = "lumped") -> ElasticModel:
+    """Stiffness and both masses of the solid, in float64; `weight_mass` names the one that weighs.
 
     sigma(u) = lambda div(u) I + 2 mu epsilon(u). Linear tets lock when the material hardly changes its volume (Poisson
     ratio over 0.45) and are stiff in bending; P1_nodal_pressure cures the first, P2 both. Raises GeometryError when a
@@ -81,7 +81,7 @@ def assemble(mesh: TetMesh, material: Materials, element: str = "P1", mass: str 
         stiffness = _stiffness(mesh, scalar, material.lame_lambda, material.lame_mu)
     consistent_mass = csr_matrix(BilinearForm(lambda u, v, _: per_tet(material.density, 1) * u * v).assemble(Basis(_skfem(mesh), scalar)))
     lumped_mass = np.bincount(elements.tets.ravel(), lumped_mass_shares(elements, material.density).ravel())
-    return ElasticModel(elements, material, csr_matrix(stiffness), consistent_mass, lumped_mass, mass)
+    return ElasticModel(elements, material, csr_matrix(stiffness), consistent_mass, lumped_mass, weight_mass)
 
 
 def body_force(elements: FiniteElements, density: Float64[np.ndarray, "*tets 3"] | Field) -> Float64[np.ndarray, "nodes 3"]:

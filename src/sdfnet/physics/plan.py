@@ -16,7 +16,7 @@ from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.demands import Demands, demands_of
 from sdfnet.physics.doubts import NOTHING_MOVES, doubts
-from sdfnet.physics.effects.roles import ChangesMaterial, Report
+from sdfnet.physics.effects.roles import ChangesMaterial, ConstrainsNodes, Report
 from sdfnet.physics.elasticity import ElasticModel, assemble
 from sdfnet.physics.energy_watch import EnergyWatch
 from sdfnet.physics.following_loads import MOST_STEPS_TO_FOLLOW, following_loads
@@ -198,7 +198,9 @@ def plan(scene: Scene, mesh: TetMesh) -> Plan:
     """
     scene, mesh = taken("the scene", scene, Scene), taken("the mesh, which for example Sphere().tet_mesh() makes,", mesh, TetMesh)
     inclusions = {name: (effect.tets(mesh), effect.material) for name, effect in scene.effects.items() if isinstance(effect, ChangesMaterial)}
-    model = assemble(mesh, with_inclusions(mesh, scene.material, inclusions), scene.solver.element, scene.solver.mass)
+    held = any(isinstance(effect, ConstrainsNodes) for effect in scene.effects.values())
+    weight_mass = "consistent" if held else scene.solver.mass  # see Gravity
+    model = assemble(mesh, with_inclusions(mesh, scene.material, inclusions), scene.solver.element, weight_mass)
     demands = demands_of(scene, model)
     for doubt in doubts(scene, model, demands):
         logger.warning("%s", doubt)

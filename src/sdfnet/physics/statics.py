@@ -1,7 +1,6 @@
 """Where a solid comes to rest under its loads."""
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -10,7 +9,6 @@ from scipy.sparse.linalg import cg, splu
 
 from sdfnet.checked import taken
 from sdfnet.errors import ConfigurationError, PhysicsError
-from sdfnet.physics.demands import demands_of
 from sdfnet.physics.motion import EquationOfMotion
 from sdfnet.physics.plan import Plan
 
@@ -26,10 +24,8 @@ def static_solution(compiled: Plan) -> Float64[np.ndarray, "*cases nodes 3"]:
     """The displacement (m) at which elastic force and loads balance: K u = f on the free components, u = 0 on the fixed ones.
 
     A row is a node of `compiled.model.elements`; with load cases the first axis counts them. Loads that change with time
-    count with their last value, so that the result is where a damped motion ends. What sets the solid in motion, and
-    damping, do not matter. Nor does the mass: K u = f has none, so weight counts by its integral, which quadratic tets
-    answer exactly, also where `solver.mass` is lumped and a motion under weight ends beside that (see docs/numerics.md).
-    A scene of arrays needs no dataset file:
+    count with their last value, so that the result is where a damped motion ends. What sets the solid in motion,
+    damping, and the mass do not matter. A scene of arrays needs no dataset file:
 
         cells = Box(size=(10.0, 1.0, 1.0), cells=(20, 2, 2))
         effects = {"wall": Pinned(HalfSpace(normal=(1.0, 0.0, 0.0))), "push": NodalForce(force)}
@@ -40,7 +36,7 @@ def static_solution(compiled: Plan) -> Float64[np.ndarray, "*cases nodes 3"]:
     """
     require_linear(compiled, "a static solution")
     _require_held(compiled)
-    motion = _weighed_by_integral(compiled).equation()
+    motion = compiled.equation()
     force = motion.constant_force + sum((load.history.values[-1] * load.force for load in motion.timed_loads), np.zeros_like(motion.constant_force))
     solve = _directly if len(motion.free) <= DIRECT_SIZE else _iteratively
     solution = solve(motion.stiffness, force)
@@ -49,14 +45,6 @@ def static_solution(compiled: Plan) -> Float64[np.ndarray, "*cases nodes 3"]:
     nodal[:, motion.free] = solution.T
     cases = len(compiled.demands.case_loads)
     return nodal.reshape(*([cases] if cases else []), motion.n_nodes, 3)
-
-
-def _weighed_by_integral(compiled: Plan) -> Plan:
-    """The same under loads that go by the consistent mass: of linear tets they are the same already."""
-    if compiled.model.mass == "consistent" or not compiled.model.elements.is_quadratic:
-        return compiled
-    model = replace(compiled.model, mass="consistent")
-    return replace(compiled, model=model, demands=demands_of(compiled.scene, model))
 
 
 def require_linear(compiled: Plan, wanted: str) -> None:

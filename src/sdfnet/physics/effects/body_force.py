@@ -14,8 +14,8 @@ from sdfnet.physics.elasticity import ElasticModel, body_force
 class BodyForce(AddsLoad):
     """Nodal force = integral of f v in N, with f in N/m^3 the same on every part of the volume (paper section 2; zero in its scene).
 
-    For a solid in a field that acts on its volume, such as a magnetic one. Not for weight, which `Gravity` takes from the
-    mass: a force density knows no mass, so quadratic tets of lumped mass quiver when it drives them off as weight would.
+    For a solid in a field that acts on its volume, such as a magnetic one. Not for weight, for which
+    there is `Gravity`. It does not go by the mass: a free solid of lumped quadratic tets quivers under it.
     """
 
     density: tuple[float, float, float]  # N/m^3

@@ -12,11 +12,13 @@ from sdfnet.physics.elasticity import ElasticModel
 
 @dataclass(frozen=True)
 class Gravity(AddsLoad):
-    """f = M g in N, M the mass that `solver.mass` names and g `acceleration` in m/s^2: in sum rho g on every m^3 of the volume.
+    """f = M g in N, with g `acceleration` in m/s^2: in sum rho g on every m^3 of the volume.
 
-    So a free solid falls without deforming, whatever its elements and mass. With the consistent mass, and with linear
-    tets, M g is the integral of rho g v. The lumped mass of quadratic tets takes other shares than that integral, which
-    would make them quiver as they fall; a static solution has no mass and takes the integral (see `static_solution`).
+    With the consistent mass, and with linear tets, M g is the integral of rho g v, under which a solid sags as it should.
+    The lumped mass of quadratic tets takes other shares. Where an effect holds nodes M is the consistent mass, whatever
+    `solver.mass` is; where none does it is the mass that moves, so that a free solid falls without deforming. Between
+    the two, by a part of h^2 with h the edge of a cell: lumped quadratic tets that slide freely on rollers quiver, and
+    those that `FloorContact` alone carries sag unevenly; there take `solver.mass=consistent`.
 
     For a solid that sags, hangs or falls: where rho g L, L its extent along g, is no small part of Young's modulus or of
     the other loads' pressure. Switched on at time 0 it makes the solid swing to twice its sag; a `history` that rises
