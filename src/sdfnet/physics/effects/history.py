@@ -42,7 +42,8 @@ class History(Checked):
     def means(self, ends: Float64[np.ndarray, " ends"]) -> Float64[np.ndarray, " steps"]:
         """The same for each step between rising times (s). Where nothing bends it is the factor in the middle."""
         result = np.interp((ends[1:] + ends[:-1]) / 2, *self._table)
-        for step in np.unique(np.searchsorted(ends, self.bends(ends[0], ends[-1]), side="right") - 1):
+        within = np.setdiff1d(self.bends(ends[0], ends[-1]), ends)  # at an end: else rounding would tell how many steps are asked for at once
+        for step in np.unique(np.searchsorted(ends, within) - 1):
             result[step] = self.mean(ends[step], ends[step + 1])
         return result
 

@@ -10,13 +10,12 @@ from jaxtyping import Float64
 from scipy.fft import dct
 from scipy.sparse import csr_matrix, diags, identity
 
-from sdfnet.physics.integrators.integrator import Integrator, State, torch_csr
+from sdfnet.physics.integrators.integrator import LENGTHS_KEPT, Integrator, State, torch_csr
 from sdfnet.physics.modes import largest_eigenvalue
 from sdfnet.physics.motion import EquationOfMotion
 
 BOUND_MARGIN = 1.001  # Lanczos comes from below, and Chebyshev polynomials explode outside their interval
 LONGEST_STRIDE = 100.0  # omega_max t of one stride: (omega_max t)^3 / 6 times rounding is what it loses at most, 2e-11
-SERIES_KEPT = 64  # lengths of time whose series are kept: a regular table has a few, of an irregular one each comes once
 ROUNDING = 1e-16  # coefficients under it, relative to the largest, change nothing
 SMALL_ANGLE = 0.3  # under it (x - sin x) / x^3 comes from its series: four terms are exact to 1e-15
 
@@ -47,24 +46,20 @@ class Exact(Integrator):
         self._product = torch_csr(scaled)
         self._argument = torch_csr(csr_matrix(2 / self._bound * scaled - identity(len(inverse))))
         self._longest = LONGEST_STRIDE / math.sqrt(self._bound)
-        self._steps_per_stride = max(1, int(self._longest / time_step))
-        self._series = functools.lru_cache(SERIES_KEPT)(functools.partial(_chebyshev_series, self._bound))
+        self._series = functools.lru_cache(LENGTHS_KEPT)(functools.partial(_chebyshev_series, self._bound))
 
     def initial_state(self) -> State:
         """The initial state as it is given."""
         return State(torch.tensor(self.motion.displacement), torch.tensor(self.motion.velocity))
 
     def advance(self, state: State, steps: int) -> None:
-        """Take so many steps, in place; many in one stride where no load changes with time."""
-        while steps > 0:
-            together = 1 if self.motion.timed_loads else min(steps, self._steps_per_stride)
-            for span, first, last in self.motion.straight_pieces(state.step * self.time_step, together * self.time_step):
-                parts = max(1, math.ceil(span / self._longest))
-                for part in range(parts):
-                    begin, end = (self.motion.force_of(_between(first, last, share / parts)) for share in (part, part + 1))
-                    self._stride(state, span / parts, begin, end)
-            state.step += together
-            steps -= together
+        """Take so many steps, in place, in strides as long as rounding and the bends of loads over time let them be."""
+        for span, first, last in self.motion.straight_pieces(state.step * self.time_step, steps * self.time_step):
+            parts = max(1, math.ceil(span / self._longest))
+            for part in range(parts):
+                begin, end = (self.motion.force_of(_between(first, last, share / parts)) for share in (part, part + 1))
+                self._stride(state, span / parts, begin, end)
+        state.step += steps
 
     def energy(self, state: State) -> Float64[np.ndarray, " columns"]:
         """1/2 v'Mv + 1/2 u'Ku - f'u, with f the constant load, J."""

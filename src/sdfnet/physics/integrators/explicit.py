@@ -21,7 +21,7 @@ class ExplicitIntegrator(Integrator):
 
     is_explicit = True
     velocity_lag = 0.5
-    kick_window: tuple[float, float]  # over which part of time, in steps from the step's, a kick takes the mean of a load: none is lost or counted twice
+    kick_begin: float  # in steps from the step's: from there on a kick takes the mean of a load for the length of a step, so that none is lost or counted twice
 
     def __init__(self, motion: EquationOfMotion, time_step: float, device: str = "cpu") -> None:
         super().__init__(motion, time_step)
@@ -33,7 +33,7 @@ class ExplicitIntegrator(Integrator):
         scaled = motion.stiffness if inverse_mass is None else diags(inverse_mass) @ motion.stiffness
         self._matrix = torch_csr(csr_matrix(-time_step * scaled), device) if motion.stiffness.nnz else None
         self._load = self._scaled(torch.from_numpy(time_step * motion.constant_force).to(device))
-        self._timed = [(load.history, torch.from_numpy(time_step * load.force).to(device)) for load in motion.timed_loads]
+        self._timed = [torch.from_numpy(time_step * load.force).to(device) for load in motion.timed_loads]
         self._kick = torch.empty_like(self._load)
         self._following = [law for law in motion.laws if not isinstance(law, ConservingLaw)]
         conserving = [(law, motion.places(law.nodes)) for law in motion.laws if isinstance(law, ConservingLaw)]
@@ -55,8 +55,8 @@ class ExplicitIntegrator(Integrator):
             self._advance_plainly(self._matrix, state, steps)
             return
         shrink = 1 - self.time_step * self.motion.damping.mass
-        for _ in range(steps):
-            impulses, driven = self._impulses(state) if state.work else ({}, 0.0)
+        for factors in self._mean_factors(state.step, steps):
+            impulses, driven = self._impulses(state, factors) if state.work else ({}, 0.0)
             kick = self._velocity_change(state, impulses)
             before = state.velocity.clone() if state.work else state.velocity
             if shrink != 1:
@@ -114,13 +114,13 @@ class ExplicitIntegrator(Integrator):
             self._kick.add_(impulse if self._inverse_mass is None else impulse * self._inverse_mass)
         return self._kick if self._inverse_mass is not None else torch.from_numpy(self.motion.mass.solve(self._kick.numpy()))
 
-    def _impulses(self, state: State) -> tuple[dict[str, Tensor], float]:
+    def _impulses(self, state: State, factors: Float64[np.ndarray, " loads"]) -> tuple[dict[str, Tensor], float]:
         """h times the forces that change with time or follow the state, N s, apart for each kind of work; and what drives put in meanwhile, J."""
         time, motion, driven = state.step * self.time_step, self.motion, 0.0
         kinds = {"loads": self._timed, "laws": self._following}
         impulses = {kind: torch.zeros_like(self._load) for kind, present in kinds.items() if present}
-        for history, force in self._timed:
-            impulses["loads"].add_(force, alpha=history.mean(*self._window(state.step)))
+        for factor, force in zip(factors, self._timed, strict=True):
+            impulses["loads"].add_(force, alpha=factor)
         if self._following:
             nodal = motion.nodal(state.displacement)
         for law in self._following:
@@ -129,10 +129,11 @@ class ExplicitIntegrator(Integrator):
             impulses["laws"].add_(motion.on_free(followed), alpha=self.time_step)
         return impulses, driven
 
-    def _window(self, step: int) -> tuple[float, float]:
-        """When the impulse of a step's kick comes, s; none comes before time 0."""
-        begin, end = self.kick_window
-        return max(step + begin, 0.0) * self.time_step, (step + end) * self.time_step
+    def _mean_factors(self, first: int, steps: int) -> Float64[np.ndarray, "steps loads"]:
+        """Of the loads over time, in each of so many kicks from a step on; none comes before time 0."""
+        ends = np.maximum(np.arange(first, first + steps + 1) + self.kick_begin, 0.0) * self.time_step
+        means = [load.history.means(ends) for load in self.motion.timed_loads]
+        return np.array(means).reshape(len(means), steps).T
 
     def _push(self, state: State, before: Tensor, impulses: dict[str, Tensor], law: ConservingLaw, places: NodePlaces, mobility: Tensor) -> None:
         """Add what a law that looks a step ahead does to the new velocity and to the impulses, N s."""

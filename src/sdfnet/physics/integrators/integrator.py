@@ -13,6 +13,8 @@ from torch import Tensor
 from sdfnet.errors import ConfigurationError
 from sdfnet.physics.motion import EquationOfMotion
 
+LENGTHS_KEPT = 64  # of time whose propagators are kept: a regular table of a load has a few, of an irregular one each comes once
+
 
 @dataclass(eq=False)
 class State:

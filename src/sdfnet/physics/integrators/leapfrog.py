@@ -15,11 +15,11 @@ class Leapfrog(ExplicitIntegrator):
     A load over time counts with its mean from half a step before to half a step after.
     """
 
-    kick_window = (-0.5, 0.5)
+    kick_begin = -0.5
 
     def initial_state(self) -> State:
         """The velocity of half a step before time 0: v - h/2 a(0)."""
         state = self._given_state()
-        lag = self._velocity_change(state, self._impulses(state)[0]) - self.time_step * self.motion.damping.mass * state.velocity
+        lag = self._velocity_change(state, self._impulses(state, self._mean_factors(0, 1)[0])[0]) - self.time_step * self.motion.damping.mass * state.velocity
         state.velocity.add_(lag, alpha=-0.5)
         return state

@@ -8,11 +8,9 @@ import torch
 from jaxtyping import Float64
 from scipy.linalg import expm
 
-from sdfnet.physics.integrators.integrator import Integrator, State
+from sdfnet.physics.integrators.integrator import LENGTHS_KEPT, Integrator, State
 from sdfnet.physics.modes import ShiftedStiffness, modes
 from sdfnet.physics.motion import EquationOfMotion
-
-PROPAGATORS_KEPT = 64  # lengths of time whose exponentials are kept: a regular table has a few, of an irregular one each comes once
 
 
 @final
@@ -42,7 +40,7 @@ class Modal(Integrator):
             np.zeros_like(force) if everything else self._without_modes(factor.solve(force) - self._shapes @ (weights[:, None] * modal))
             for force, modal in zip(forces, self._modal_forces, strict=True)
         ]
-        self._propagator = functools.lru_cache(PROPAGATORS_KEPT)(self._exponential)
+        self._propagator = functools.lru_cache(LENGTHS_KEPT)(self._exponential)
 
     def initial_state(self) -> State:
         """The initial state as it is given."""
@@ -51,12 +49,10 @@ class Modal(Integrator):
         return State(displacement, velocity, 0, {}, {"amplitude": amplitude, "rate": rate})
 
     def advance(self, state: State, steps: int) -> None:
-        """Take so many steps, in place; in one stride where no load changes with time."""
-        together = [1] * steps if self.motion.timed_loads else [steps]
-        for several in together:
-            for span, first, last in self.motion.straight_pieces(state.step * self.time_step, several * self.time_step):
-                self._stride(state, span, [1.0, *first], [1.0, *last])
-            state.step += several
+        """Take so many steps, in place; in one stride where no load bends."""
+        for span, first, last in self.motion.straight_pieces(state.step * self.time_step, steps * self.time_step):
+            self._stride(state, span, [1.0, *first], [1.0, *last])
+        state.step += steps
         amplitude, rate = (state.own[name].numpy() for name in ("amplitude", "rate"))
         factors = [1.0, *(load.history.factor(state.step * self.time_step) for load in self.motion.timed_loads)]
         state.displacement.numpy()[:] = self._shapes @ amplitude + sum(factor * part for factor, part in zip(factors, self._corrections, strict=True))

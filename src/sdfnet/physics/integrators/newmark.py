@@ -43,8 +43,9 @@ class Newmark(Integrator):
         """Take so many steps, in place."""
         h, motion = self.time_step, self.motion
         displacement, velocity, acceleration = state.displacement.numpy(), state.velocity.numpy(), state.own["acceleration"].numpy()
+        factors = self._mean_factors(max(state.step - 1, 0))
         for _ in range(steps):
-            before, factors = self._mean_factors(max(state.step - 1, 0)), self._mean_factors(state.step)
+            before, factors = factors, self._mean_factors(state.step)
             for last, factor, answer in zip(before, factors, self._answers, strict=True):
                 acceleration += (factor - last) * answer
             force = motion.force_of(factors)

@@ -15,7 +15,7 @@ class SymplecticEuler(ExplicitIntegrator):
     A load over time counts with its mean over the step.
     """
 
-    kick_window = (0.0, 1.0)
+    kick_begin = 0.0
 
     def initial_state(self) -> State:
         """The initial state as it is given, as if its velocity were that of half a step before."""
