@@ -19,7 +19,7 @@ from sdfnet.physics.doubts import NOTHING_MOVES, doubts
 from sdfnet.physics.effects.roles import ChangesMaterial, ConstrainsNodes, Report
 from sdfnet.physics.elasticity import ElasticModel, assemble
 from sdfnet.physics.energy_watch import EnergyWatch
-from sdfnet.physics.following_loads import MOST_STEPS_TO_FOLLOW, following_loads
+from sdfnet.physics.following_loads import MOST_STEPS, following_loads
 from sdfnet.physics.integrators import INTEGRATORS, Integrator
 from sdfnet.physics.mass import mass_of
 from sdfnet.physics.materials import with_inclusions
@@ -29,9 +29,7 @@ from sdfnet.scene import Scene, Solver
 
 logger = logging.getLogger(__name__)
 
-MOST_STEPS = 10**8  # of a run: hours of the smallest solid
 ROUNDING = 1e-9  # relative: how far interval / step may be from a whole number and still count as one
-STEPS_PER_SEGMENT = 4  # of a load's history, that Newmark takes with time_step auto
 IMPLICIT_STEPS_PER_FRAME = 10  # of Newmark with time_step auto: what happens within a frame's interval is not asked for
 TRIAL_SECONDS, FEWEST_TRIAL_STEPS = 0.5, 4  # of which the first half is thrown away: other libraries' idle threads still hold the cores then
 
@@ -206,15 +204,15 @@ def plan(scene: Scene, mesh: TetMesh) -> Plan:
         logger.warning("%s", doubt)
     kind = INTEGRATORS[scene.solver.integrator]
     limits = step_limits(model, demands.fixed, demands.added_stiffness, demands.damping, demands.stable_fraction) if kind.is_explicit else None
-    count = _steps_per_frame(scene, demands, limits)
+    count = _steps_per_frame(scene, limits)
     finer, load = (count, "") if kind.is_exact_in_time else following_loads(scene, demands, count)
     return Plan(scene, model, demands, limits, finer, load)
 
 
-def _steps_per_frame(scene: Scene, demands: Demands, limits: StepLimits | None) -> int:
+def _steps_per_frame(scene: Scene, limits: StepLimits | None) -> int:
     """The fewest steps between two frames with a step no longer than the given one, or than auto allows."""
     solver, interval = scene.solver, scene.recording.duration / (scene.recording.frames - 1)
-    longest = _longest_unlimited_step(scene, demands) if limits is None else _longest_step(solver, limits.of(solver.mass))
+    longest = _longest_unlimited_step(scene) if limits is None else _longest_step(solver, limits.of(solver.mass))
     count = max(1, math.ceil(interval / longest * (1 - ROUNDING)))
     if solver.time_step != "auto" and interval / count < longest * (1 - ROUNDING):
         logger.info("time step %.6g s shortened to %.6g s, so that %d of them fill the %.6g s between two frames", longest, interval / count, count, interval)
@@ -231,13 +229,9 @@ def _longest_step(solver: Solver, limit: float) -> float:
     return solver.time_step
 
 
-def _longest_unlimited_step(scene: Scene, demands: Demands) -> float:
-    """Of the given step or, for auto, a part of a frame's interval and, where the method errs in time, of the shortest piece of a load's history."""
+def _longest_unlimited_step(scene: Scene) -> float:
+    """The given step or, for auto, a frame's interval or, where the method errs in time, a part of it."""
     if not isinstance(scene.solver.time_step, str):
         return scene.solver.time_step
     interval = scene.recording.duration / (scene.recording.frames - 1)
-    if INTEGRATORS[scene.solver.integrator].is_exact_in_time:
-        return interval
-    histories = [load.history for load in (demands.loads | demands.case_loads).values() if not load.history.is_constant]
-    pieces = [float(np.diff(history.times).min()) / STEPS_PER_SEGMENT for history in histories]
-    return min([interval / IMPLICIT_STEPS_PER_FRAME, *(piece for piece in pieces if scene.recording.duration / piece <= MOST_STEPS_TO_FOLLOW)])
+    return interval if INTEGRATORS[scene.solver.integrator].is_exact_in_time else interval / IMPLICIT_STEPS_PER_FRAME

@@ -17,10 +17,11 @@ from sdfnet.physics.effects.history import CONSTANT, History
 from sdfnet.physics.effects.roles import Damping, ReplacesElasticity
 from sdfnet.physics.modes import ShiftedStiffness
 from sdfnet.physics.motion import TimedLoad
-from sdfnet.physics.plan import STEPS_PER_SEGMENT, Plan
+from sdfnet.physics.plan import Plan
 
 STEP_ANGLE = 0.25  # omega h of the fastest mode kept: its period errs by (omega h)^2 / 24, 0.3 %
 TOUCH_ANGLE = 0.5  # omega h of the fastest contact
+STEPS_PER_SEGMENT = 4  # of a load's history
 MOST_STEPS = 20_000  # of a linear trial, about a second; a longer run is followed in longer steps
 MOST_LAW_STEPS = 4_000  # of a trial with a force law: stiffer contacts are followed in longer steps too
 MOST_TET_STEPS = 10_000_000  # tets times steps of such a trial, one to two seconds
