@@ -19,6 +19,7 @@ IN_NUMERICS = (
     "manufactured",
     "free_fall",
     "sudden_load",
+    "blow_within_a_step",
     "units",
 )
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from sdfnet.verification.beams import bar_mode, cantilever
 from sdfnet.verification.conservation import energy, free_rigid_motion
 from sdfnet.verification.half_space import disc_on_half_space
-from sdfnet.verification.loads import free_fall, sudden_load
+from sdfnet.verification.loads import blow_within_a_step, free_fall, sudden_load
 from sdfnet.verification.manufactured import manufactured
 from sdfnet.verification.polynomials import hanging_bar, hydrostatic, patch, pure_bending
 from sdfnet.verification.row import Row
@@ -32,6 +32,7 @@ CASES: dict[str, Case] = {
         manufactured,
         free_fall,
         sudden_load,
+        blow_within_a_step,
         units,
     )
 }

@@ -26,13 +26,8 @@ AMPLITUDES = np.array([1.0, -0.5, 0.7])  # of the chosen displacement along x, y
 CELLS = {"P1": (4, 6, 8, 10), "P2": (2, 3, 4, 5)}  # along a side
 SPACE_ORDERS = {"P1": 2.0, "P2": 3.0}
 SPACE_STEPS = 100  # over an eighth of a period: Newmark's relative error, (omega h)^2 / 12, is 5e-6, a hundredth of the smallest in space
-TIME_ORDERS = {
-    "symplectic_euler": 1.0,
-    "leapfrog": 2.0,
-    "newmark": 2.0,
-    "modal": 2.0,
-    "exact": 2.0,
-}  # the last two err only by the lines that stand for the sine
+# The last two err only by the lines that stand for the sine.
+TIME_ORDERS = {"symplectic_euler": 1.0, "leapfrog": 2.0, "newmark": 2.0, "modal": 2.0, "exact": 2.0}
 TIME_STEPS = (80, 160, 320, 640)  # over three quarters of a period, which is half the coarsest step's stability limit 80 times
 
 NodalField = Float64[np.ndarray, "nodes 3"]

@@ -23,8 +23,8 @@ class Row:
     def passes(self) -> bool:
         """Whether the number is as near as it must be; never for what is not finite."""
         if self.expected is not None:
-            return self.expected[0] <= self.found <= self.expected[1]
-        return self.error <= self.tolerance
+            return bool(self.expected[0] <= self.found <= self.expected[1])
+        return bool(self.error <= self.tolerance)  # of NumPy's numbers too, whose verdict JSON does not know
 
     @property
     def criterion(self) -> str:
