@@ -62,9 +62,11 @@ def test_prepare_makes_the_files_then_finds_them(command: Command) -> None:
     code, out, _ = command("prepare", *SMALL)
     assert code == 0
     assert re.search(r"simulation: data/trajectory-\w+\.h5 \(made, .*\nsigned distances: data/distances-\w+\.h5 \(made, ", out)
+    assert out.count("nothing holds the solid: it flies freely") == 1  # by the simulation, and not by the printed plan again
     code, out, _ = command("prepare", *SMALL)
     assert code == 0
     assert out.count("(was there, ") == 3
+    assert out.count("nothing holds the solid: it flies freely") == 1
 
 
 def test_plan_only_simulates_nothing(command: Command) -> None:

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from sdfnet.cli.board import write_board
+from sdfnet.cli.muted import muted
 from sdfnet.cli.settings import EvaluateSettings, PrepareSettings, TrainSettings
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.prepare import prepare as prepare_files
@@ -75,7 +76,9 @@ def prepare(settings: PrepareSettings, output: Path) -> None:
     console = Console(highlight=False, soft_wrap=True)
     if isinstance(scene.geometry, ClosedSurface) and scene.geometry.path is None:
         console.print(beside_table_1(mesh.nodes))
-    compiled = plan(scene, mesh)
+    said = files is not None and "simulation" in files.built
+    with muted(*(["sdfnet.physics"] if said else [])):
+        compiled = plan(scene, mesh)
     console.print(compiled.describe())
     console.print("\n".join(["advice", *(f"  {line}" for line in advice_lines(advise(compiled)))]))
     if files is not None:
