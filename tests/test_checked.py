@@ -2,16 +2,18 @@
 
 import importlib
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 import torch
+from jaxtyping import Complex128, Float, Float64, Shaped, UInt8
 
-from sdfnet.checked import Checked
+from sdfnet.checked import Checked, taken
 from sdfnet.data.settings import BatchSettings
 from sdfnet.errors import ConfigurationError
 from sdfnet.geometry.solids import Box, ClosedSurface, Sphere
@@ -25,7 +27,7 @@ from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.effects.roles import AddsDamping, Damping
 from sdfnet.physics.elasticity import ElasticModel
 from sdfnet.physics.plan import plan
-from sdfnet.physics.regions import BoxRegion, HalfSpace, Where
+from sdfnet.physics.regions import HalfSpace, Where
 from sdfnet.physics.statics import require_linear
 from sdfnet.plugins import find_effects
 from sdfnet.scene import Effect, Geometry, Material, Recording, Scene, Solver
@@ -105,6 +107,30 @@ def test_an_array_that_fits_is_not_copied() -> None:
     assert NodalForce(force).force is force
 
 
+@pytest.mark.parametrize(
+    ("hint", "words"),
+    [
+        (Float[np.ndarray, "nodes 3"], "(nodes, 3) of type Float"),
+        (Shaped[np.ndarray, "nodes 3"], "(nodes, 3) of type Shaped"),
+        (Float64[np.ndarray, "*tets 3"], "(*tets, 3) of numbers"),
+        (Float64[np.ndarray, "... 3"], "(..., 3) of numbers"),
+    ],
+)
+def test_an_array_is_taken_as_jaxtyping_takes_it(hint: Any, words: str) -> None:
+    right = np.ones((4, 3))
+    assert taken("it", right, hint) is right
+    with pytest.raises(ConfigurationError, match=re.escape(f"it must be an array {words}, found an array (4, 2) of float64")):
+        taken("it", right[:, :2], hint)
+
+
+def test_an_array_is_converted_where_one_dtype_is_declared() -> None:
+    assert taken("it", [0.0, 255.0], UInt8[np.ndarray, " colours"]).tolist() == [0, 255]
+    with pytest.raises(ConfigurationError, match=r"it must be an array \(colours\) of whole numbers, found an array \(1,\) of int64, -1 among them"):
+        taken("it", [-1], UInt8[np.ndarray, " colours"])
+    with pytest.raises(ConfigurationError, match=r"it must be an array \(waves\) of type Complex128, found an array \(1,\) of float64"):
+        taken("it", [1.0], Complex128[np.ndarray, " waves"])
+
+
 @pytest.mark.parametrize("mask", [np.eye(3, dtype=np.int32), np.eye(3).astype(bool).tolist(), torch.eye(3, dtype=torch.uint8)], ids=["ints", "lists", "bytes"])
 def test_a_mask_of_zeros_and_ones_is_one(mask: Any) -> None:
     np.testing.assert_array_equal(made(FixedComponents, mask).mask, np.eye(3, dtype=np.bool_))
@@ -115,6 +141,8 @@ def test_a_mask_of_zeros_and_ones_is_one(mask: Any) -> None:
     [
         (Material, {"youngs_modulus": "5e3"}, "Material.youngs_modulus must be a number (Pa), found '5e3'; write for example youngs_modulus=5000.0"),
         (Material, {"density": True}, "Material.density must be a number (kg/m^3), found True; write for example density=1.0"),
+        (Material, {"density": 10**400}, "0000: int too large to convert to float; write for example density=1.0"),
+        (Gravity, {"acceleration": b"abc"}, "Gravity.acceleration must be 3 numbers (m/s^2), found b'abc'; write"),
         (Gravity, {"acceleration": -9.81}, "Gravity.acceleration must be 3 numbers (m/s^2), found -9.81; write for example acceleration=(0.0, 0.0, -9.81)"),
         (Gravity, {"acceleration": (0.0, -9.81)}, "Gravity.acceleration must be 3 numbers (m/s^2), found (0.0, -9.81); write"),
         (Gravity, {"history": ramp}, "Gravity.history must be a History (the factor on the acceleration over time), found the function ramp"),
@@ -161,6 +189,7 @@ class Magnet(AddsDamping):
     names: list[str]
     poles: int = 2  # of the magnet
     anything: Any = None
+    modes: tuple[Literal["on", "off"], ...] = ()
 
     def damping(self, model: ElasticModel) -> Damping:
         return Damping(1.0)
@@ -170,6 +199,8 @@ def test_an_effect_of_ones_own_is_checked_too_and_types_without_a_word_are_let_t
     assert Magnet(["a"], anything=object).poles == 2
     with pytest.raises(ConfigurationError, match=r"Magnet\.poles must be a whole number \(of the magnet\), found 'two'; write for example poles=2"):
         Magnet(["a"], poles="two")  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match=r"Magnet\.modes must be a tuple of values, each typing\.Literal\['on', 'off'\], found 3; write"):
+        Magnet(["a"], modes=3)  # type: ignore[arg-type]
 
 
 def test_what_is_typed_at_a_prompt_has_no_source_and_is_refused_without_the_unit() -> None:
@@ -187,7 +218,3 @@ def test_a_plan_wants_a_scene_and_a_mesh_and_a_solution_wants_a_plan() -> None:
         inspect.unwrap(plan)(scene, Box())
     with pytest.raises(ConfigurationError, match=r"what is solved, which plan\(scene, mesh\) makes, must be a Plan, found Scene\("):
         inspect.unwrap(require_linear)(scene, "a static solution")
-
-
-def test_a_region_without_corners_is_still_all_of_space() -> None:
-    assert made(BoxRegion, [-np.inf] * 3) == BoxRegion()

@@ -1,7 +1,8 @@
-"""Fields that are what they declare: a value is taken where the declared type holds it exactly, and refused in words where it does not.
+"""Fields that are what they declare: a value is taken where the declared type holds it, numbers to rounding, and refused in words where it does not.
 
 So a list or an array is taken for a tuple, nested lists or a PyTorch tensor on the CPU for an array, 5 for 5.0 and 5.0
 for 5, 1 for true; "5e3" is taken for no number, 5.5 for no whole one, and -9.81 for no three numbers.
+A type that sdfnet has no word for, such as Literal, is not looked at.
 """
 
 import os
@@ -13,11 +14,12 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from jaxtyping import jaxtyped
 
-from sdfnet.declared import as_found, example, expected, is_array, words_of
+from sdfnet.declared import as_found, example, expected, is_array, one_dtype, words_of
 from sdfnet.errors import ConfigurationError
 
-KINDS_TAKEN = {"f": "iuf", "i": "iuf", "b": "biu"}  # of NumPy's numbers, by that which is declared: truth values are no numbers
+KINDS_TAKEN = {"f": "iuf", "i": "iuf", "u": "iuf", "b": "biu"}  # of NumPy's numbers, by that which is declared: truth values are no numbers
 
 
 class Checked:
@@ -95,7 +97,7 @@ def _first_held(value: Any, choices: Sequence[Any], place: str) -> Any:
 
 def _tuple(value: Any, inner: tuple[Any, ...], place: str) -> tuple[Any, ...]:
     values = value.tolist() if hasattr(value, "tolist") else value  # of NumPy and PyTorch
-    if not isinstance(values, Sequence) or isinstance(values, str):
+    if not isinstance(values, Sequence) or isinstance(values, str | bytes):
         raise _Unfit
     kinds = inner[:1] * len(values) if Ellipsis in inner else inner
     if len(kinds) != len(values):
@@ -103,20 +105,22 @@ def _tuple(value: Any, inner: tuple[Any, ...], place: str) -> tuple[Any, ...]:
     return tuple(_held(one, kind, place) for one, kind in zip(values, kinds, strict=True))
 
 
+@jaxtyped(typechecker=None)  # or a caller's own names of axes would hold here too
 def _array(value: Any, hint: Any) -> np.ndarray:
-    """An array of the declared number of axes, fixed lengths and kind of numbers; itself where it is that already."""
+    """The array as jaxtyping's type holds it, converted where that has one dtype; itself where it is that already."""
     try:
         given = np.asarray(value)
     except (TypeError, ValueError, RuntimeError) as error:  # rows of unequal lengths; a tensor on a GPU, or with a gradient
         raise _Unfit(f": {error}") from error
-    lengths, kind = hint.dim_str.split(), np.dtype(hint.dtypes[0])
-    fits = given.ndim == len(lengths) and all(not length.isdigit() or int(length) == size for length, size in zip(lengths, given.shape, strict=True))
-    if not fits or given.dtype.kind not in KINDS_TAKEN[kind.kind]:
-        raise _Unfit
-    if given.dtype == kind:
+    if isinstance(given, hint):
         return given
+    kind = one_dtype(hint)
+    if kind is None or given.dtype.kind not in KINDS_TAKEN[kind.kind]:
+        raise _Unfit
     with np.errstate(invalid="ignore"):
         held = given.astype(kind)
+    if not isinstance(held, hint):
+        raise _Unfit
     if kind.kind != "f" and not np.array_equal(held, given):
         raise _Unfit(f", {given[held != given][0]} among them")
     return held
@@ -125,7 +129,10 @@ def _array(value: Any, hint: Any) -> np.ndarray:
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise _Unfit
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:  # a whole number of more than 308 digits
+        raise _Unfit(f": {error}") from error
 
 
 def _whole_number(value: Any) -> int:

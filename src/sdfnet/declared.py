@@ -12,7 +12,7 @@ import numpy as np
 
 PLAIN = {float: "a number", int: "a whole number", bool: "true or false", str: "text", NoneType: "None"}
 PLURALS = {float: "numbers", int: "whole numbers", bool: "values true or false", str: "texts"}
-OF_ARRAYS = {"f": "numbers", "i": "whole numbers", "b": "true and false"}
+OF_ARRAYS = {"f": "numbers", "i": "whole numbers", "u": "whole numbers", "b": "true and false"}
 PLACEHOLDERS = {float: "0.0", int: "1", bool: "True"}  # in an example of a field that has no default
 
 
@@ -21,11 +21,21 @@ def is_array(hint: Any) -> bool:
     return getattr(hint, "array_type", None) is np.ndarray
 
 
+def one_dtype(hint: Any) -> np.dtype | None:
+    """The dtype of a declared array; None where it may be one of several, as with jaxtyping's Float, or is of no numbers that we have a word for."""
+    try:
+        (kind,) = {np.dtype(name) for name in hint.dtypes}
+    except (TypeError, ValueError):  # of no dtype, as Shaped, or one that NumPy lacks; of several
+        return None
+    return kind if kind.kind in OF_ARRAYS else None
+
+
 def expected(hint: Any) -> str:
     """A declared type in words: "3 numbers" for tuple[float, float, float]."""
     origin, inner = get_origin(hint), get_args(hint)
     if is_array(hint):
-        return f"an array ({', '.join(hint.dim_str.split())}) of {OF_ARRAYS[np.dtype(hint.dtypes[0]).kind]}"
+        kind = one_dtype(hint)
+        return f"an array ({', '.join(hint.dim_str.split())}) of {f'type {hint.dtype.__name__}' if kind is None else OF_ARRAYS[kind.kind]}"
     if origin in (Union, UnionType):
         return " or ".join(expected(one) for one in inner if not (one is int and float in inner))
     if origin is tuple:
@@ -34,7 +44,7 @@ def expected(hint: Any) -> str:
         return f"a dict of names, each with {expected(inner[1])}"
     if origin is Callable:
         return "a function"
-    return PLAIN.get(hint) or _with_kinds(hint)
+    return PLAIN.get(hint) or (_with_kinds(hint) if isinstance(hint, type) else str(hint))
 
 
 def as_found(value: Any, hint: Any) -> str:
