@@ -255,11 +255,17 @@ def test_names_are_the_words_of_the_class(plugin: Path) -> None:
 
 def test_one_name_twice_is_an_error_with_both_files(plugin: Path) -> None:
     (plugin / "again.py").write_text(EFFECT)
-    with pytest.raises(ConfigurationError, match=r"two plugins define an effect named 'side_wind': '.*/again\.py' and '.*/kite\.py'; rename one"):
+    with pytest.raises(ConfigurationError, match=r"two plugins define the Effect 'side_wind': '.*/again\.py' and '.*/kite\.py'; rename one"):
         find_effects([plugin])
     (plugin / "again.py").write_text(EFFECT.replace("SideWind", "Traction"))
-    with pytest.raises(ConfigurationError, match=r"an effect named 'traction': '.*/effects/traction\.py' and '.*/again\.py'; rename one"):
+    with pytest.raises(ConfigurationError, match=r"the Effect 'traction': '.*/effects/traction\.py' and '.*/again\.py'; rename one"):
         find_effects([plugin])
+
+
+def test_a_region_of_ones_own_takes_no_name_of_sdfnets(plugin: Path) -> None:
+    (plugin / "kite.py").write_text(EFFECT + REGION.replace("Slab", "Ball"))
+    with pytest.raises(ConfigurationError, match=r"two plugins define the Region 'ball': '.*/physics/regions\.py' and '.*/kite\.py'; rename one"):
+        register("prepare")
 
 
 def test_an_installation_from_before_the_entry_points_is_named_with_the_cure(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:

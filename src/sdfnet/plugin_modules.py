@@ -10,7 +10,7 @@ import importlib.util
 import inspect
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -53,18 +53,17 @@ def _kinds_of(module: ModuleType, base: type[Kind]) -> list[type[Kind]]:
     return [kind for kind in kinds if not inspect.isabstract(kind) and not kind.__name__.startswith("_")]
 
 
-def classes_by_name(base: type[Kind], modules: Iterable[ModuleType]) -> dict[str, type[Kind]]:
-    """Every class that the modules derive from `base`, `PressurePoke` as `pressure_poke`, but for abstract ones and those that begin with an underscore.
+def classes_by_name(base: type[Kind], modules: Iterable[ModuleType], known: Mapping[str, type[Kind]]) -> dict[str, type[Kind]]:
+    """The known classes, and every one that the modules derive from `base`, `PressurePoke` as `pressure_poke`.
 
-    Raises ConfigurationError when two have one name.
+    Abstract ones and those that begin with an underscore are left out. Raises ConfigurationError when two have one name.
     """
-    found: dict[str, type[Kind]] = {}
+    found = dict(known)
     for kind in (kind for module in modules for kind in _kinds_of(module, base)):
         name = WORD_START.sub("_", kind.__name__).lower()
         if found.setdefault(name, kind) is not kind:
             first, second = (origin_of(sys.modules[one.__module__]) for one in (found[name], kind))
-            what = "an effect" if base is Effect else f"a {base.__name__.lower()}"
-            raise ConfigurationError(f"two plugins define {what} named '{name}': '{first}' and '{second}'; rename one")
+            raise ConfigurationError(f"two plugins define the {base.__name__} '{name}': '{first}' and '{second}'; rename one")
     return found
 
 

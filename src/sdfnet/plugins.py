@@ -66,12 +66,15 @@ def find_effects(folders: Iterable[Path] | None = None) -> dict[str, type[Effect
     Abstract classes and those whose name begins with an underscore are left out. Raises ConfigurationError when a plugin
     does not load or brings no effect, when two define one name, and when sdfnet was installed before it had entry points.
     """
-    return classes_by_name(Effect, [*effect_modules(), *dataset_modules(_searched(folders))])
+    return find_kinds(Effect, folders)
 
 
-def find_kinds(base: Any, folders: Iterable[Path] | None = None) -> dict[str, type[Any]]:
-    """Every class that plugins derive from `base`, by its name as `find_effects` has it. Raises ConfigurationError when two define one name."""
-    return classes_by_name(base, [*effect_modules(), *dataset_modules(_searched(folders))])
+def find_kinds(base: Any, folders: Iterable[Path] | None = None, known: Mapping[str, type[Any]] | None = None) -> dict[str, type[Any]]:
+    """The `known` classes, and every class that plugins derive from `base`, by its name as `find_effects` has it.
+
+    Raises ConfigurationError when two have one name.
+    """
+    return classes_by_name(base, [*effect_modules(), *dataset_modules(_searched(folders))], known or {})
 
 
 def register_datasets(datasets: dict[str, Dataset]) -> None:

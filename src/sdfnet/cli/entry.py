@@ -70,7 +70,7 @@ def register(*commands: str) -> None:
     for command in commands:
         ConfigStore.instance().store(name=f"{command}_schema", node=writable(SCHEMAS[command]), provider="sdfnet")
     register_datasets(find_datasets())
-    register_effects(find_effects(), {Region: REGIONS | find_kinds(Region)})
+    register_effects(find_effects(), {Region: find_kinds(Region, known=REGIONS)})
     OmegaConf.register_new_resolver("known", _known, replace=True)  # for the pages that --help shows
 
 
