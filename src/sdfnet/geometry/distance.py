@@ -5,6 +5,7 @@ The bounding volume hierarchy is built once and refitted to each frame. The sign
 """
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Float32, Float64, Int32, Int64
+from jaxtyping import Float32, Float64, Int32, Int64, Num
 from torch import Tensor
 
 from sdfnet.checked import taken
@@ -28,6 +29,8 @@ FEATURE_TOLERANCE = 1e-5
 # a part of the bound, and a part of the solid's diagonal (eight float32 steps there) for points that are almost on the surface.
 BOUND_MARGIN = 1.0 + 1e-5
 DIAGONAL_MARGIN = 1e-6
+
+Positions = Num[Tensor, "points 3"] | Num[np.ndarray, "points 3"] | Sequence[Sequence[float]]  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,20 +68,20 @@ class SurfaceDistance:
         self._normals: list[wp.array] = []
         self._set_normals(surface.vertices)
 
-    def deform(self, vertices: Float64[np.ndarray, "vertices 3"]) -> None:
+    def deform(self, vertices: Positions) -> None:
         """Move the surface to new vertex positions (m); the hierarchy is refitted, not rebuilt. Raises GeometryError when one is not finite."""
-        vertices = taken("vertices", vertices, Float64[np.ndarray, "vertices 3"])
-        if len(vertices) != self._mesh.points.size:
+        moved: np.ndarray = taken("vertices", vertices, Float64[np.ndarray, "vertices 3"])
+        if len(moved) != self._mesh.points.size:
             raise GeometryError(
-                f"a surface that deforms keeps its {self._mesh.points.size} vertices, found {len(vertices)}; "
+                f"a surface that deforms keeps its {self._mesh.points.size} vertices, found {len(moved)}; "
                 "give those of Trajectory.surface(frame).vertices, and for another surface make another SurfaceDistance"
             )
-        _require_finite(vertices)
-        self._mesh.points.assign((vertices - self._centre).astype(np.float32))
+        _require_finite(moved)
+        self._mesh.points.assign((moved - self._centre).astype(np.float32))
         self._mesh.refit()
-        self._set_normals(vertices)
+        self._set_normals(moved)
 
-    def signed_distance(self, points: Float32[Tensor, "points 3"], upper_bound: Float32[Tensor, " points"] | None = None) -> Float32[Tensor, " points"]:
+    def signed_distance(self, points: Positions, upper_bound: Float32[Tensor, " points"] | None = None) -> Float32[Tensor, " points"]:
         """Distance (m) of each point to the surface, negative inside.
 
         `upper_bound` (m) is a distance that is known not to be exceeded, such as the last frame's plus the largest
@@ -92,7 +95,7 @@ class SurfaceDistance:
             raise GeometryError(f"{missed} of {len(points)} points found no surface within their bound; the points or the bound are not finite or too small")
         return distances
 
-    def closest(self, points: Float32[Tensor, "points 3"], within: float) -> Closest:
+    def closest(self, points: Positions, within: float) -> Closest:
         """The nearest triangle within a radius (m); where there is none the face is -1 and the distance is `within`."""
         points = _as_points(points)
         distances, faces = self._query(points, torch.full((len(points),), within))
@@ -149,7 +152,7 @@ class SurfaceDistance:
         self._normals = [wp.array(values.astype(np.float32), dtype=wp.vec3, device=self._device) for values in of_features]
 
 
-def signed_distance(points: Float32[Tensor, "points 3"], surface: Surface) -> Float32[Tensor, " points"]:
+def signed_distance(points: Positions, surface: Surface) -> Float32[Tensor, " points"]:
     """Signed distance (m) of points to one closed surface, negative inside. For many frames keep a `SurfaceDistance`."""
     return SurfaceDistance(surface).signed_distance(points)
 
