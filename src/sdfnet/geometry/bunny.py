@@ -29,13 +29,12 @@ def bunny_path() -> Path:
 def place(surface: Surface, up_axis: str, x_extent: float | None, foot_depth: float | None) -> Surface:
     """Bring a surface into the paper's frame (section 1): z up, x from 0, y centred, the foot `foot_depth` (m) under z = 0.
 
+    `up_axis` is y or z, which of the surface's points up.
     `x_extent` (m) scales the solid to that length along x; None keeps its size. `foot_depth` None keeps its position.
     """
     vertices = surface.vertices
     if up_axis == "y":
         vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
-    elif up_axis != "z":
-        raise GeometryError(f"geometry.up_axis must be y or z, found '{up_axis}'")
     if x_extent is not None:
         vertices = vertices * (x_extent / np.ptp(vertices[:, 0]))
     if foot_depth is not None:

@@ -65,21 +65,20 @@ class Inspection:
         return found
 
 
-def require_closed(surface: Surface, origin: str) -> None:
-    """Raise GeometryError, with every problem that `inspection` finds and its places, unless the surface bounds one solid."""
-    _refuse(inspection(surface).problems(), origin)
-
-
 def closed_outward(surface: Surface, origin: str) -> Surface:
     """The surface where it bounds one solid; turned over, with a warning, where it is wound inward as a whole and has no other flaw.
 
-    Raises GeometryError, as `require_closed` does, for every other surface.
+    Raises GeometryError, with every problem that `inspection` finds and its places, for every other surface.
     """
     found = inspection(surface)
     if found.inward_faces.count == found.faces and not replace(found, inward_faces=Flaw()).problems():
         logger.warning("%s is wound inward, all %d faces of it, and has no other flaw: it is turned over", origin, found.faces)
         return Surface(surface.vertices, surface.faces[:, ::-1])
-    _refuse(found.problems(), origin)
+    if problems := found.problems():
+        raise GeometryError(
+            f"{origin} must be a closed surface, found {'; '.join(problems)}; "
+            "mend it in a mesh editor, or set dataset.scene.geometry.repair=true to let fTetWild fill it all the same"
+        )
     return surface
 
 
@@ -113,14 +112,6 @@ def wound_outward(surface: Surface) -> Surface:
     """The surface with the faces that `inspection` finds turned or wound inward turned over."""
     is_turned, is_inward, _ = _windings(surface, *_edges(surface.faces)[1:])
     return Surface(surface.vertices, np.where((is_turned ^ is_inward)[:, None], surface.faces[:, ::-1], surface.faces))
-
-
-def _refuse(problems: list[str], origin: str) -> None:
-    if problems:
-        raise GeometryError(
-            f"{origin} must be a closed surface, found {'; '.join(problems)}; "
-            "mend it in a mesh editor, or set dataset.scene.geometry.repair=true to let fTetWild fill it all the same"
-        )
 
 
 def _flaw(places: np.ndarray, count: int | None = None) -> Flaw:

@@ -47,7 +47,7 @@ class MeshedGeometry(Geometry, ABC):
 class ClosedSurface(MeshedGeometry):
     """A closed triangle surface filled by fTetWild; without a path the Stanford Bunny (paper section 1)."""
 
-    path: str | None = None  # .obj, .ply, .stl or .usd; none: the bunny of the warp-lang package
+    path: str | None = None  # .obj, .ply, .stl, .off or .usd; none: the bunny of the warp-lang package
     up_axis: str = "y"  # which axis of the file points up: y or z
     x_extent: float | None = 0.1551  # m, the solid is scaled to this length along x; none keeps its size
     foot_depth: float | None = 0.007  # m, how far the lowest point lies under z = 0; none keeps the position

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from sdfnet.checked import Checked
 from sdfnet.errors import GeometryError
 
+FORMATS = ".obj, .ply, .stl, .off or .usd"
 NEARNESS = 1e-9  # of the diagonal: nearer points are one, lower triangles have no area; a hundred times finer than float32 coordinates
 
 
@@ -40,7 +41,7 @@ def load_surface(path: Path) -> Surface:
     out. Raises GeometryError when the file is missing, unreadable, empty or not finite.
     """
     if not path.is_file():
-        raise GeometryError(f"no surface file at '{path}'; give an existing .obj, .ply, .stl or .usd")
+        raise GeometryError(f"no surface file at '{path}'; give an existing {FORMATS}")
     vertices, faces = _read_usd(path) if path.suffix.lower().startswith(".usd") else _read_trimesh(path)
     if len(faces) == 0:
         raise GeometryError(f"'{path}' holds no triangles")
@@ -69,7 +70,7 @@ def _read_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         mesh = trimesh.load_mesh(path, process=False)
     except (ValueError, IndexError, KeyError, NotImplementedError, UnicodeDecodeError) as error:
         raise GeometryError(
-            f"'{path}' could not be read: it must be a whole .obj, .ply, .stl or .off, found {path.stat().st_size} bytes that end early or are something else; "
+            f"'{path}' could not be read: it must be a whole {FORMATS}, found {path.stat().st_size} bytes that end early or are something else: {error}; "
             "export it again, or give it the ending of its kind"
         ) from error
     return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
