@@ -191,6 +191,12 @@ def test_a_mistake_is_answered_with_its_cure_and_leaves_no_folder(command: Comma
     assert not list(Path().rglob(".hydra"))
 
 
+def test_an_effect_in_the_place_of_something_else_is_not_told_to_take_another_name(command: Command) -> None:
+    outcome = command("prepare", *SMALL, "+effect@dataset.scene.material=gravity")
+    _refusal(outcome, "Gravity is not a subclass of Material")
+    assert "of that name already" not in outcome[2]
+
+
 @pytest.mark.parametrize(
     ("name", "override", "nearest"),
     [
@@ -231,7 +237,7 @@ def test_help_lists_what_the_command_reads_and_nothing_else(command: Command, na
 
 def test_a_missing_mesh_is_named(command: Command) -> None:
     outcome = command("prepare", "dataset.scene.geometry.path=nowhere.obj", "data_folder=data")
-    _refusal(outcome, "no surface file at 'nowhere.obj'; give an existing .obj, .ply, .stl or .usd")
+    _refusal(outcome, "no surface file at 'nowhere.obj'; give an existing .obj, .ply, .stl, .off or .usd")
 
 
 def test_an_open_mesh_is_named_with_its_open_edges_and_the_cure(command: Command) -> None:

@@ -19,7 +19,7 @@ from sdfnet.plugins import shipped
 
 CHOICE = re.compile(r"must be one of (?P<known>.+?); found '(?P<found>.*?)'")  # how settings refuse a word
 NO_LIST = re.compile(r"is not a ListConfig, list or tuple|=\(")  # OmegaConf's words, or what Hydra cannot parse
-TAKEN = re.compile(r"Merge error: \w+ is not a subclass of (?P<there>\w+)")
+TAKEN = re.compile(r"In 'effect/(?P<kind>[^']+)'.*Merge error: \w+ is not a subclass of (?P<there>\w+)", re.DOTALL)
 WRITTEN_FOLDERS = {"train": {"data_folder"}, "prepare": {"data_folder"}, "cost": {"data_folder"}}  # by command; besides Hydra's
 HYDRA_FOLDERS = {"hydra.run.dir", "hydra.sweep.dir"}
 PAGES = {"experiment", "sweep", "strategy"}  # groups of train.py that are no setting
@@ -27,13 +27,14 @@ PAGES = {"experiment", "sweep", "strategy"}  # groups of train.py that are no se
 
 def check_overrides(name: str, overrides: list[str]) -> DictConfig:
     """Compose once before Hydra does, so that a mistake can be answered with the nearest name. Raises ConfigurationError."""
+    first_of_sweeps: list[str] = []
     try:
         parsed = OverridesParser.create().parse_overrides(overrides)
         first_of_sweeps = [line for override in parsed for line in _first_of_sweep(override)]
         with hydra.initialize_config_dir(str(shipped("conf").resolve()), version_base="1.3"):
             composed = hydra.compose(name, first_of_sweeps, return_hydra_config=True)
     except (HydraException, OmegaConfBaseException, ValueError) as error:  # the last for dataset=null
-        raise ConfigurationError(_explained(error)) from error
+        raise ConfigurationError(_explained(error, first_of_sweeps)) from error
     for override in parsed:
         if override.key_or_group in WRITTEN_FOLDERS.get(name, set()) | HYDRA_FOLDERS and not override.is_sweep_override():
             _require_folder(override.key_or_group, str(override.value()))
@@ -85,8 +86,11 @@ def _first_of_sweep(override: Override) -> list[str]:
     return [f"{line.split('=', 1)[0]}={next(override.sweep_string_iterator())}"]
 
 
-def _explained(error: Exception) -> str:
-    """The error's own words, for an unknown key the names that would have been known there, for an unknown option the nearest."""
+def _explained(error: Exception, lines: list[str]) -> str:
+    """The error's own words, for an unknown key the names that would have been known there, for an unknown option the nearest.
+
+    `lines` are the overrides; a clash of two classes names no key.
+    """
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     message = str(error).strip()
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
@@ -97,7 +101,8 @@ def _explained(error: Exception) -> str:
         message += "\n" + str(cause).splitlines()[0]
     if NO_LIST.search(message):
         message += "\nA list is written in brackets and, because of the shell, in quotes: 'key=[1,2,3]'"
-    if taken := TAKEN.search(message):
+    taken = TAKEN.search(message)
+    if taken and all(".effects." in line for line in lines if line.endswith(f"={taken['kind']}")):
         message += f"\nThere is a {taken['there']} of that name already: give another name, and if need be remove the old one with ~dataset.scene.effects.NAME"
     parent, key = getattr(cause, "parent_node", None), getattr(cause, "key", None)
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and isinstance(parent, DictConfig) and isinstance(key, str):

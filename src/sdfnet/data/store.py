@@ -72,7 +72,7 @@ def key_of(*parts: Any) -> str:
 def _no_setting(value: Any) -> None:
     raise ConfigurationError(
         f"files are named by settings, which are numbers, texts, tuples and dataclasses, found {as_found(value, type(value))}; "
-        "choose nodes by a region that is a class of yours, or go from sdfnet.physics.simulate.simulate on in memory"
+        "derive an effect or region of your own whose fields are numbers, or stay in memory with sdfnet.physics.simulate.simulate"
     )
 
 

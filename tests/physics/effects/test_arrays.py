@@ -89,8 +89,8 @@ def test_a_mask_that_holds_nothing_is_refused(cube: ElasticModel) -> None:
 
 def test_files_are_not_named_by_arrays() -> None:
     with pytest.raises(
-        ConfigurationError, match=r"files are named by settings, .*, found an array \(4, 3\) of float64; choose nodes by a region that is a class"
+        ConfigurationError, match=r"files are named by settings, .*, found an array \(4, 3\) of float64; derive an effect or region of your own"
     ):
         key_of(NodalForce(np.ones((4, 3))))
-    with pytest.raises(ConfigurationError, match="found the function <lambda>; choose nodes by a region that is a class of yours, or go from"):
+    with pytest.raises(ConfigurationError, match="found the function <lambda>; derive .* whose fields are numbers, or stay in memory with"):
         key_of(Where(lambda points: points[:, 0] < 0))
