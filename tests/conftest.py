@@ -1,6 +1,7 @@
 """Shapes and types are checked at run time in every test, and tests never share a working folder."""
 
 import importlib
+import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -30,6 +31,18 @@ def _hydra_as_users_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mistakes end in a line and an exit code, also where coverage's tracing looks like a debugger to Hydra."""
     monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
     monkeypatch.setattr("hydra._internal.utils.is_under_debugger", lambda: False)
+
+
+@pytest.fixture(autouse=True)
+def _own_log() -> Iterator[None]:
+    """Hydra gives the root logger a level and handlers for good; the next test has those of before, whatever the order."""
+    root = logging.getLogger()
+    level, handlers = root.level, list(root.handlers)
+    yield
+    root.setLevel(level)
+    for handler in [one for one in root.handlers if one not in handlers]:
+        root.removeHandler(handler)
+        handler.close()
 
 
 @pytest.fixture(scope="session")
