@@ -134,6 +134,7 @@ def test_a_floor_changes_as_much_as_predicted(case: Case, verdict: str) -> None:
     advice = advice_on("floor_contact", case)
     assert advice.verdict == verdict
     assert advice.value < advice.threshold == 0
+    assert advice.sentence.startswith("the solid would pass z = 0: add floor_contact if a floor is there, it would change") == (verdict == IF_THERE)
     assert_within_factor(advice.predicted_change, real_change(case, with_effect(case, "floor", FloorContact())))
 
 
@@ -141,11 +142,6 @@ def test_a_floor_out_of_reach_changes_nothing() -> None:
     advice = advice_on("floor_contact", beam(1.0))
     assert (advice.verdict, advice.predicted_change) == (LEFT_OUT, 0.0)
     assert advice.value > 0
-
-
-def test_a_scene_that_names_no_floor_is_told_of_one_as_a_guess() -> None:
-    advice = advice_on("floor_contact", beam(30.0))
-    assert advice.sentence.startswith("the solid would pass z = 0: add floor_contact if a floor is there, it would change")
 
 
 def test_nodal_pressure_in_place_of_tets_that_lock_changes_as_much_as_predicted() -> None:
@@ -192,7 +188,7 @@ def test_quadratic_tets_change_as_much_as_predicted(case: Case, verdict: str) ->
 
 
 def test_a_beam_too_stiff_in_bending_is_told_so_with_the_cure_and_what_it_costs() -> None:
-    scene, mesh = bent((12, 1, 1), duration=0.005)
+    scene, mesh = bent((6, 1, 1), duration=0.005)
     advice = advice_on("element", (scene, mesh))
     assert advice.sentence.startswith(
         "set solver.element=P2 or refine the mesh: these tets are too stiff here, as in bending; the static answer of P2 differs by "
