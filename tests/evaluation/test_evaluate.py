@@ -54,8 +54,8 @@ class _BallOfKnownRadius(SdfCalculator):
     def encoded(self, points: torch.Tensor) -> torch.Tensor:
         return points.norm(dim=-1, keepdim=True)
 
-    def from_encoded(self, latents: torch.Tensor, encoded: torch.Tensor) -> torch.Tensor:
-        return encoded[..., 0] - latents[:, :1]
+    def from_both(self, from_latent: torch.Tensor, encoded: torch.Tensor, in_place: bool = False) -> torch.Tensor:
+        return encoded[..., 0] - from_latent[..., 0]
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +63,7 @@ def exact(trajectory: Trajectory, samples: DistanceSamples) -> Evaluation:
     """The evaluation of a network that knows the answer."""
     known = networks(trajectory, samples)
     known.decoder = _BallOfKnownRadius(known.settings, torch.zeros(3), torch.ones(3))
+    known.decoder.from_latent = torch.nn.Identity()  # type: ignore[assignment]
     known.latents = lambda shapes: shapes.norm(dim=-1).amax(dim=1, keepdim=True)  # type: ignore[method-assign]
     return evaluate(known, trajectory, samples, SETTINGS)
 

@@ -63,7 +63,7 @@ def test_a_load_over_time_counts_with_its_last_value(column: TetMesh) -> None:
 
 def test_a_damped_motion_ends_in_the_static_solution(column: TetMesh) -> None:
     scene = pulled(column, ramp(0.05))
-    damped = replace(scene, effects=scene.effects | {"damping": RayleighDamping(mass=60.0, stiffness=2e-3)}, recording=Recording(1.0, 3))
+    damped = replace(scene, effects=scene.effects | {"damping": RayleighDamping(mass=60.0, stiffness=2e-3)}, recording=Recording(1.0, 9))
     end = simulate(damped, column).displacements[-1]
     np.testing.assert_allclose(end, static_solution(plan(scene, column)), rtol=0, atol=1e-6 * np.abs(end).max())
 
