@@ -124,8 +124,8 @@ def test_seconds_are_of_a_million_queries_whatever_was_asked(study: Study) -> No
     for point in study.points:
         if point.failure is None:
             assert point.seconds is not None
-            # A million queries cost over 0.01 s and under half an hour by any of these methods, a single call of the study far less.
-            assert 0.01 < point.seconds.median < 2000
+            # A million queries cost over a nanosecond each and under half an hour by any of these methods.
+            assert 0.001 < point.seconds.median < 2000
 
 
 def test_a_million_queries_pay_for_one_set_up() -> None:

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -39,9 +38,10 @@ def _every_crossing(surface: Surface) -> list[tuple[int, int]]:
     """The crossing pairs by trying all pairs whose boxes overlap, edge by edge."""
     corners, found = surface.vertices[surface.faces], []
     lower, upper = corners.min(axis=1), corners.max(axis=1)
-    for i, j in combinations(range(len(corners)), 2):
+    meets = (lower[:, None] <= upper).all(axis=-1)
+    for i, j in np.argwhere(np.triu(meets & meets.T, 1)).tolist():
         shared = set(surface.faces[i]) & set(surface.faces[j])
-        if len(shared) > 1 or (lower[i] > upper[j]).any() or (lower[j] > upper[i]).any():
+        if len(shared) > 1:
             continue
         for own, other in ((i, j), (j, i)):
             for k in range(3):

@@ -57,7 +57,7 @@ SMALL = Recipe(
     TrainingSettings(EPOCHS, TURNS, power=1, focus=0.01, latent_weight=0.0, validate_every=2),
     OptimizerSettings("soap", 0.002, 0.003, "cosine", 0.1),
 )
-RECIPES = {"paper": PAPER, "small": SMALL, "small in bf16": replace(SMALL, precision="bf16-mixed")}
+RECIPES = {"paper": PAPER, "small in bf16": replace(SMALL, precision="bf16-mixed")}
 
 
 class Journal(Callback):
