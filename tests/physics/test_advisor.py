@@ -80,7 +80,7 @@ def with_effect(case: Case, name: str, effect: Effect) -> Case:
     return replace(case[0], effects={**case[0].effects, name: effect}), case[1]
 
 
-ADVISED: dict[int, tuple[Case, list[Advice]]] = {}  # by the case's id, the case itself beside its advice so that the id stays its own
+ADVISED: dict[int, tuple[Case, tuple[Advice, ...]]] = {}  # by the case's id, the case itself beside its advice so that the id stays its own
 
 
 def advice_on(effect: str, case: Case) -> Advice:
