@@ -19,6 +19,14 @@ importlib.import_module("sdfnet.geometry.self_intersection_kernel")  # likewise
 install_import_hook("sdfnet", "beartype.beartype")
 
 
+LONG = ("verification", "runs", "cost")  # folders whose tests begin first, so that no worker ends with a long one while the others wait
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long tests first; otherwise in order."""
+    items.sort(key=lambda item: item.path.parent.name not in LONG)
+
+
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Relative paths, outputs/ above all, lead into the test's own folder; random weights are the same each time."""

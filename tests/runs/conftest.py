@@ -1,16 +1,36 @@
 """Runs a command as a user would, in this process; trains small networks that can be stopped and resumed."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 
 from sdfnet.cli import entry
 from sdfnet.data.prepare import prepare
 from tests.runs.resumable_run import BALL, RECIPES, Outcome, Recipe, RequireSameEnd, Run, require_same_end, train
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _effects_stored_once() -> Iterator[None]:
+    """What commands of one process store of the same effects is made once: a third of the time of a command that ends early."""
+    made: dict[str, object] = {}
+
+    def stored(effects: dict[str, type], choices: dict[type, dict[str, type]]) -> None:
+        groups = ConfigStore.instance().repo
+        if made.get("of") != (effects, choices):
+            groups.pop("effect", None)
+            register_effects(effects, choices)
+            made.update(of=(effects, choices), group=groups["effect"])
+        groups["effect"] = made["group"]
+
+    register_effects = entry.register_effects
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(entry, "register_effects", stored)
+        yield
 
 
 @pytest.fixture
