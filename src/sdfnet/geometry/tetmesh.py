@@ -149,6 +149,12 @@ class TetMesh(Checked):
         return content.hexdigest()[:12]
 
     @cached_property
+    def edges(self) -> tuple[Int64[np.ndarray, "edges 2"], Int64[np.ndarray, "tets 6"]]:
+        """The ends of every edge as ascending node numbers, each edge once, and which edges the TET_EDGES of each tet are."""
+        ends, numbers = np.unique(np.sort(self.tets[:, TET_EDGES].reshape(-1, 2), axis=1), axis=0, return_inverse=True)
+        return ends, numbers.reshape(-1, 6)
+
+    @cached_property
     def _faces_once(self) -> tuple[Int64[np.ndarray, "faces 3"], Int64[np.ndarray, " faces"], Int64[np.ndarray, " faces"]]:
         """Each face as ascending node numbers, where it stands first among the faces of all tets, and in how many it is."""
         faces, first, uses = np.unique(np.sort(self.tets[:, TET_FACES].reshape(-1, 3), axis=1), axis=0, return_index=True, return_counts=True)

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64
 from scipy.sparse import csr_matrix
 
 from sdfnet.geometry.tetmesh import TET_EDGES, TetMesh
@@ -41,8 +41,7 @@ class QuadraticTets:
         mesh = model.mesh
         self._volumes, self._gradients = mesh.volumes, shape_gradients(mesh)
         self._lambda, self._mu = model.material.lame_lambda, model.material.lame_mu
-        self.ends, numbers = np.unique(np.sort(mesh.tets[:, TET_EDGES].reshape(-1, 2), axis=1), axis=0, return_inverse=True)
-        self._edges: Int64[np.ndarray, "tets 6"] = numbers.reshape(-1, 6)
+        self.ends, self._edges = mesh.edges
         self._count = len(mesh.nodes)
         self._moves = ~np.concatenate([fixed, fixed[self.ends].all(axis=1)])
         self._gradient = self._corner_gradients(mesh)
@@ -138,7 +137,6 @@ def entries_beside_linear(model: ElasticModel) -> float:
     E + 2 (3 F + 3 T) of edges, for V corners, E edges, F faces and T tets.
     """
     mesh = model.mesh
-    edges = len(np.unique(np.sort(mesh.tets[:, TET_EDGES].reshape(-1, 2), axis=1), axis=0))
-    nodes, tets = len(mesh.nodes), len(mesh.tets)
+    nodes, edges, tets = len(mesh.nodes), len(mesh.edges[0]), len(mesh.tets)
     faces = (4 * tets + len(mesh.boundary_faces)) // 2
     return (nodes + 7 * edges + 12 * faces + 6 * tets) / (nodes + 2 * edges)
