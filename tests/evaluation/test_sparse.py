@@ -32,7 +32,7 @@ def union(*fields: Field) -> Field:
     return lambda points: np.min([field(points) for field in fields], axis=0)
 
 
-# In a box of side 2 with 40 points a side: cells of 0.051 m, blocks of 0.41, 0.21 and 0.1 m.
+# In a box of side 2 with 40 points a side: cells of 0.051 m, coarser points 0.41, 0.21 and 0.1 m apart.
 FIELDS = {
     "ball": ball((0.1, 0.05, -0.1), 0.6),
     "ball of two cells": ball((0.21, 0.33, -0.41), 0.06),
@@ -122,9 +122,9 @@ def test_a_small_part_of_the_grid_is_asked_for_and_no_point_twice_at_one_level()
         return FIELDS["ball"](grid.points_at(indices).numpy()).astype(np.float32)
 
     found = sparse_values(ask, grid)
-    # Blocks of two cells whose centre is within their half diagonal of the surface fill a shell 2 x 1.73 cells thick about
-    # 4 pi 30^2 cells: 39,000 of 10^6, with all corners about 50,000; coarser levels ask for a third as many.
-    assert found.asked < 0.07 * grid.resolution**3
+    # Points nearer than 1, 1.4 and 1.7 cells, as far as the neighbours they are predicted from are, fill a shell 2.8 cells thick on average
+    # about 4 pi 30^2 cells: 31,000 of 10^6. The coarser levels ask for a fourth and a sixteenth as many.
+    assert found.asked < 0.042 * grid.resolution**3
     assert found.asked == len(np.unique(np.concatenate(asked)))
     assert found.asked == sum(len(indices) for indices in asked)
 
@@ -148,19 +148,19 @@ def test_a_surface_that_leaves_the_block_it_was_found_in_is_followed_through_the
     grid = grid_of(40)
 
     def ball_with_rod(points: np.ndarray) -> np.ndarray:
-        rod = np.maximum(9.0 * (np.hypot(points[:, 0] - 0.23, points[:, 1] - 0.26) - 0.06), np.abs(points[:, 2]) - 0.8)
-        return np.minimum(ball((0.0, 0.0, 0.0), 0.5)(points), rod)  # between block centres, the rod is too steep to be seen
+        rod = np.maximum(9.0 * (np.hypot(points[:, 0] - 0.077, points[:, 1] - 0.104) - 0.06), np.abs(points[:, 2]) - 0.95)
+        return np.minimum(ball((0.0, 0.0, 0.0), 0.5)(points), rod)  # between the points of every coarser level, too steep to be seen
 
     found = sparse(ball_with_rod, grid)
     assert found.values.shape == grid.shape
     assert_same_surface(found, dense_values(ball_with_rod, grid), grid)
 
 
-def test_a_piece_that_nothing_but_a_block_centre_saw_is_found_whole() -> None:
+def test_a_piece_that_nothing_but_one_of_the_coarsest_points_saw_is_found_whole() -> None:
     grid = grid_of(40)
 
     def jumps(points: np.ndarray) -> np.ndarray:
-        return np.where(ball((-0.8, -0.8, -0.8), 0.12)(points) < 0, -5.0, FIELDS["ball of two cells"](points))
+        return np.where(ball((-0.59, -0.58, -0.59), 0.12)(points) < 0, -5.0, FIELDS["ball of two cells"](points))
 
     assert_same_surface(sparse(jumps, grid), dense_values(jumps, grid), grid)
 
@@ -168,7 +168,7 @@ def test_a_piece_that_nothing_but_a_block_centre_saw_is_found_whole() -> None:
 def test_a_small_surface_gives_a_small_block_about_it() -> None:
     grid = grid_of(40)
     found = sparse(FIELDS["ball of two cells"], grid)
-    assert max(found.values.shape) <= 2 * 2 + 9  # the ball, and on either side what is nearer than 1.7 cells, rounded to every second point, and two cells more
+    assert max(found.values.shape) <= 2 * (1 + 8 + 3)  # the ball, and on either side what the points 8 cells apart cannot tell from it, rounded to every second
     assert (on_whole_grid(found, grid) < 0).any()
 
 
@@ -180,7 +180,7 @@ def test_a_field_of_one_sign_and_one_cut_by_the_box_are_refused_as_on_the_whole_
             surface_from_values(dense, grid)
         with pytest.raises(ReconstructionError) as refused:
             surface_from_values(torch.from_numpy(found.values), grid, found.start)
-        ranges_differ = "both sides" in str(expected.value)  # the lowest and highest value are those of block centres
+        ranges_differ = "both sides" in str(expected.value)  # the lowest and highest value are bounds
         assert str(refused.value).split(", found")[0] == str(expected.value).split(", found")[0]
         assert ranges_differ or str(refused.value) == str(expected.value)
 
@@ -190,7 +190,7 @@ def test_values_that_are_not_finite_are_kept_and_refused(bad: float) -> None:
     grid = grid_of(40)
 
     def broken(points: np.ndarray) -> np.ndarray:
-        return np.where((points < -0.7).all(axis=1), bad, FIELDS["ball"](points))  # far from the ball, about the centre of a block
+        return np.where((points < -0.55).all(axis=1), bad, FIELDS["ball"](points))  # far from the ball, about one of the coarsest points
 
     found = sparse(broken, grid)
     with pytest.raises(ReconstructionError, match="every value must be finite"):
@@ -199,7 +199,7 @@ def test_values_that_are_not_finite_are_kept_and_refused(bad: float) -> None:
 
 @pytest.mark.parametrize("slopes", [(1.0, 1.0), (1.0, 0.0, 1.0), (1.0, float("nan"), 1.0)])
 def test_slopes_that_bound_nothing_are_refused(slopes: tuple[float, ...]) -> None:
-    with pytest.raises(ConfigurationError, match=r"a positive slope for each block size \(8, 4, 2\)"):
+    with pytest.raises(ConfigurationError, match=r"a positive slope for each of the levels with points every \(4, 2, 1\) cells"):
         sparse(FIELDS["ball"], grid_of(10), slopes)
 
 
