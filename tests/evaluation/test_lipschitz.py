@@ -6,7 +6,7 @@ import pytest
 from sdfnet.evaluation.lipschitz import LEAST, SAFETY, measured_slopes
 from sdfnet.evaluation.reconstruct import Grid
 from sdfnet.evaluation.sparse import sparse_values
-from tests.evaluation.test_sparse import on_whole_grid
+from tests.evaluation.test_sparse import ball, grid_of, on_whole_grid, sparse
 
 GRID = Grid(np.full(3, -1.0), np.full(3, 1.0), 41)
 RADII = np.linalg.norm(np.stack(np.meshgrid(*GRID.axes, indexing="ij")) - 0.013, axis=0)
@@ -69,6 +69,12 @@ def test_what_is_steep_far_from_the_surface_does_not_count() -> None:
 
 def test_a_field_without_a_surface_has_the_least_slopes() -> None:
     assert measured_slopes(ball_values(0.3, 1.0)[None] + 9.0, GRID) == LEAST_SLOPES
+
+
+def test_a_ball_of_three_cells_is_found_with_the_least_slopes_wherever_it_lies() -> None:
+    grid = grid_of(40)
+    for centre in np.random.default_rng(0).uniform(-0.85, 0.85, (60, 3)):
+        assert (sparse(ball(tuple(centre), 0.077), grid, LEAST_SLOPES).values < 0).any()
 
 
 @pytest.mark.parametrize("seed", range(5))

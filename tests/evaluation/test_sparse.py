@@ -190,7 +190,7 @@ def test_values_that_are_not_finite_are_kept_and_refused(bad: float) -> None:
     grid = grid_of(40)
 
     def broken(points: np.ndarray) -> np.ndarray:
-        return np.where((points < -0.55).all(axis=1), bad, FIELDS["ball"](points))  # far from the ball, about one of the coarsest points
+        return np.where((points < -0.9).all(axis=1), bad, FIELDS["ball of two cells"](points))  # far from the ball, about one of the coarsest points
 
     found = sparse(broken, grid)
     with pytest.raises(ReconstructionError, match="every value must be finite"):
