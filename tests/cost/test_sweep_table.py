@@ -94,6 +94,19 @@ def test_frame_without_a_surface_is_an_infinite_error_and_not_a_good_one(tmp_pat
     assert written["rows"][0]["chamfer_l1_mm_worst_range"] == [None, None]
 
 
+def test_table_says_no_surface_and_shows_settings_in_brackets(tmp_path: Path) -> None:
+    write_job(tmp_path, ["strategy=[latent_32,fourier]", "seed=0"], result(64, 0.1, 0.2))
+    write_job(tmp_path, ["strategy=[latent_32,fourier]", "seed=1"], result(64, None, None))
+    write_job(tmp_path, ["strategy=[]"], result(64, None, None))
+    jobs, console = read_jobs(tmp_path), Console(width=200, file=io.StringIO())
+    console.print(table_of(jobs, Target()))
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "strategy=[latent_32,fourier]" in shown
+    assert "(0.100 to no surface)" in shown
+    assert shown.count("no surface") == 4 + 2  # of the mean and of the worst frame: the highest and the median of one setting, both of the other as one
+    assert "the best has no surface in some frame with 64 parameters" in "\n".join(sentences_of(jobs, Target(chamfer_l1_mm=0.01)))
+
+
 def test_without_a_surface_of_knn1_there_is_no_target_and_the_sentence_asks_for_one(tmp_path: Path) -> None:
     write_job(tmp_path, ["model.width=8"], result(64, 0.1, 0.2, knn1=None))
     jobs = read_jobs(tmp_path)
@@ -185,7 +198,7 @@ def test_sentences_name_the_smallest_its_command_and_the_knee(sweep: Path) -> No
     bend = knee_of(rows_of(jobs, Target()), Target())
     assert bend is not None
     assert f"The knee is at {bend.decoder_parameters:,} parameters" in text
-    assert "the best reaches 0.200 mm with 4,096 parameters" in "\n".join(sentences_of(jobs, Target(chamfer_l1_mm=0.01)))
+    assert "the best has 0.200 mm with 4,096 parameters" in "\n".join(sentences_of(jobs, Target(chamfer_l1_mm=0.01)))
     assert "no job finished" in "\n".join(sentences_of([job for job in jobs if job.result is None], Target()))
 
 

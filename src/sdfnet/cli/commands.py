@@ -9,11 +9,11 @@ import torch
 from lightning import LightningModule, Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.loggers import TensorBoardLogger
-from rich.console import Console
 from rich.progress import Progress
 
 from sdfnet.cli.board import write_board
 from sdfnet.cli.muted import muted
+from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import EvaluateSettings, PrepareSettings, TrainSettings
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.prepare import prepare as prepare_files
@@ -73,7 +73,7 @@ def prepare(settings: PrepareSettings, output: Path) -> None:
     folder, scene = Path(settings.data_folder), settings.dataset.scene
     files = None if settings.plan_only else prepare_files(settings.dataset, folder)
     mesh = prepare_mesh(settings.dataset, folder)
-    console = Console(highlight=False, soft_wrap=True)
+    console = screen()
     if isinstance(scene.geometry, ClosedSurface) and scene.geometry.path is None:
         console.print(beside_table_1(mesh.nodes))
     said = files is not None and "simulation" in files.built
@@ -120,7 +120,7 @@ def _measure(
     seconds = {**seconds, "evaluate": time.perf_counter() - began}
     result = result_of(evaluation, trajectory, train_frames, seconds, run)
     write_report(output, evaluation, result, trajectory)
-    console = Console(highlight=False)
+    console = screen()
     console.print(table_of(result))
     console.print(f"seconds: {', '.join(f'{what} {value:.0f}' for what, value in seconds.items())}\nwritten to {output}")
     return result, evaluation

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rich.console import Console
 
 from sdfnet.cli.muted import muted
+from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import STUDIES, CostSettings
 from sdfnet.cost.distance_study import distance_study
 from sdfnet.cost.findings import cheapest_whole
@@ -142,7 +142,7 @@ def cost(settings: CostSettings, output: Path) -> None:
             seconds[name] = time.perf_counter() - began
             summary = _summary(bench, found)
             _write(bench, output, found, summary, seconds, load_before)
-    console = Console(highlight=False, soft_wrap=True)
+    console = screen()
     console.print("\n".join(text_of(found, summary)), markup=False)
     console.print(f"written to {output}; open {output / 'report.html'}", markup=False)
     if bench.speed is None and not any(point.is_measured for study in found for point in study.points):

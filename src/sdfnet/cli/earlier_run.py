@@ -6,7 +6,8 @@ from pathlib import Path
 
 from hydra._internal.utils import get_args_parser
 from omegaconf import OmegaConf
-from rich.console import Console
+
+from sdfnet.cli.screen import screen
 
 
 def typed() -> list[str]:
@@ -26,7 +27,7 @@ def take_over(name: str) -> None:
     taken = [line for line in offered if key_of(line) not in {"resume", *map(key_of, overrides)}]
     if taken:
         sys.argv[sys.argv.index(overrides[0]) : 0] = taken
-        Console(highlight=False, soft_wrap=True).print(f"taken from the run in {settings.parent}: {' '.join(taken)}", markup=False)
+        screen().print(f"taken from the run in {settings.parent}: {' '.join(taken)}", markup=False)
 
 
 def typed_for(settings: Path) -> list[str]:

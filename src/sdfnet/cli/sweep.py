@@ -19,9 +19,9 @@ from cloudpickle import register_pickle_by_value
 from filelock import FileLock
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from rich.console import Console
 
 from sdfnet.cli.earlier_run import typed
+from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import TrainSettings
 from sdfnet.cli.sweep_plan import folder_name, folder_of_sweep, planned_jobs, quoted
 from sdfnet.cost.sweep_report import sentences_of, table_of, write_tables
@@ -100,7 +100,7 @@ def run_job(config: DictConfig) -> float | tuple[float, ...] | None:
         job = read_job(folder)
     found = {name: (job.result or {}).get(name) for name in config.target.objectives}
     shown = ", ".join(f"{name} {'nothing' if value is None else f'{value:.4g}'}" for name, value in found.items()) if job.result else job.reason
-    Console(highlight=False, soft_wrap=True).print(f"{job.status}: {' '.join(overrides)}: {shown}", markup=False)
+    screen().print(f"{job.status}: {' '.join(overrides)}: {shown}", markup=False)
     values = tuple(float(value) for value in found.values() if value is not None)
     if len(values) < len(found):
         return None
@@ -109,7 +109,7 @@ def run_job(config: DictConfig) -> float | tuple[float, ...] | None:
 
 def finish(sweep_folder: Path, target: Target) -> bool:
     """Print and write the table of a sweep; whether it has jobs and all of them finished or were left out."""
-    jobs, console = read_jobs(sweep_folder), Console(highlight=False, soft_wrap=True)
+    jobs, console = read_jobs(sweep_folder), screen()
     if all(job.status == NOT_STARTED for job in jobs):
         console.print(f"no job of the sweep began in '{sweep_folder}', so there is no table", markup=False)
         return False

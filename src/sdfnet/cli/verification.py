@@ -2,23 +2,20 @@
 
 import csv
 import math
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
 from sdfnet.cli.muted import muted
+from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import ALL_CASES, VerifySettings
 from sdfnet.data.store import finite, versions, write_json, written_whole
 from sdfnet.errors import PhysicsError, SdfnetError
 from sdfnet.verification import CASES, Row, rows_of
-
-UNLIMITED = 1000  # columns, for output that goes into a file: the table takes those that it needs
 
 
 def verify(settings: VerifySettings, output: Path) -> None:
@@ -34,7 +31,7 @@ def verify(settings: VerifySettings, output: Path) -> None:
             rows += _rows_or_reason(name)
             seconds[name] = time.perf_counter() - began
             bars.advance(task)
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else UNLIMITED)
+    console = screen()
     console.print(table_of(rows))
     _write(output, rows, seconds)
     failed = [row for row in rows if not row.passes]

@@ -1,12 +1,14 @@
 """A sweep as a table and sentences for the screen, and as files."""
 
 import csv
+import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from rich.table import Table
+from rich.text import Text
 
 from sdfnet.cost.frontier import pareto_front
 from sdfnet.cost.sweep_table import JOB_COLUMNS, NOT_STARTED, Job, Target, knee_of, rows_of, smallest_within
@@ -19,20 +21,26 @@ def table_of(jobs: Sequence[Job], target: Target) -> Table:
     shared = _shared(jobs)
     front = pareto_front([(getattr(row, target.metric), float(row.decoder_parameters)) for row in rows])
     smallest, bend = smallest_within(rows), knee_of(rows, target)
-    table = Table(title=f"chamfer L1, median over the seeds (lowest to highest); good enough: {target.words()}", title_justify="left")
-    for heading in ("setting", "parameters", "kB", "mean, mm", "worst, mm", "training, s", "seeds", ""):
-        table.add_column(heading, justify="left" if heading in ("setting", "") else "right")
+    table = Table(
+        title=f"chamfer L1, median over the seeds (lowest to highest); good enough: {target.words()}",
+        caption="size: parameters of the decoder; kB: of all frames, latents included; s: of training",
+        title_justify="left",
+        caption_justify="left",
+    )
+    table.add_column("setting", overflow="fold", min_width=24)
+    for heading in ("size", "kB", "mean, mm", "worst, mm", "s", "seeds"):
+        table.add_column(heading, justify="right")
     for place, row in enumerate(rows):
         notes = [word for word, holds in (("smallest", row is smallest), ("knee", row is bend), ("front", place in front)) if holds]
+        setting = _short(row.setting, shared) + (f"  <- {', '.join(notes)}" if notes else "")
         table.add_row(
-            _short(row.setting, shared),
+            Text(setting),  # and not markup: lists stand in brackets
             f"{row.decoder_parameters:,}",
             f"{row.query_bytes / 1e3:.1f}",
             _spread(row.chamfer_l1_mm_mean, row.chamfer_l1_mm_mean_range),
             _spread(row.chamfer_l1_mm_worst, row.chamfer_l1_mm_worst_range),
             f"{row.train_seconds:.0f}",
             str(row.seeds),
-            ", ".join(notes),
         )
     return table
 
@@ -46,7 +54,7 @@ def sentences_of(jobs: Sequence[Job], target: Target) -> list[str]:
         sentences = [f"{done}; KNN-1 has no surface in some frame, so there is nothing to be as good as: set target.chamfer_l1_mm."]
     elif smallest is None:
         nearest = min(rows, key=lambda row: float(getattr(row, target.metric)), default=None)
-        best = "" if nearest is None else f"the best reaches {getattr(nearest, target.metric):.3f} mm with {nearest.decoder_parameters:,} parameters"
+        best = "" if nearest is None else f"the best has {_millimetres(getattr(nearest, target.metric))} with {nearest.decoder_parameters:,} parameters"
         sentences = [f"{done}; none is as good as {target.words()}: {best or 'no job finished'}."]
     else:
         sentences = [
@@ -56,7 +64,7 @@ def sentences_of(jobs: Sequence[Job], target: Target) -> list[str]:
         ]
     if bend is not None:
         sentences.append(
-            f"The knee is at {bend.decoder_parameters:,} parameters ({getattr(bend, target.metric):.3f} mm): from there on more parameters buy less. "
+            f"The knee is at {bend.decoder_parameters:,} parameters ({_millimetres(getattr(bend, target.metric))}): from there on more parameters buy less. "
             f"{command_of(bend.overrides)}"
         )
     versions = {f"{name} {version}" for result in results for name, version in result.get("versions", {}).items()}
@@ -100,5 +108,10 @@ def _short(overrides: Sequence[str], shared: set[str]) -> str:
     return " ".join(override for override in overrides if override not in shared) or "(as it comes)"
 
 
-def _spread(value: float, around: tuple[float, float]) -> str:
-    return f"{value:.3f}" if around[0] == around[1] else f"{value:.3f} ({around[0]:.3f} to {around[1]:.3f})"
+def _spread(median: float, around: tuple[float, float]) -> str:
+    middle, low, high = ("no surface" if value == math.inf else f"{value:.3f}" for value in (median, *around))
+    return low if low == high else f"{middle} ({low} to {high})"
+
+
+def _millimetres(error: float) -> str:
+    return "no surface in some frame" if error == math.inf else f"{error:.3f} mm"
