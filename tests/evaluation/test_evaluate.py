@@ -105,6 +105,17 @@ def test_networks_are_measured_and_weighed_as_they_are_stored(trajectory: Trajec
     assert all(torch.equal(values, before[name]) for name, values in trained.state_dict().items())
 
 
+def test_an_encoder_that_tells_no_frame_from_another_is_said_to(
+    exact: Evaluation, trajectory: Trajectory, samples: DistanceSamples, caplog: pytest.LogCaptureFixture
+) -> None:
+    dead = networks(trajectory, samples)
+    torch.nn.init.zeros_(dead.encoder.get_parameter("layers.0.weight"))
+    evaluation = evaluate(dead, trajectory, samples, SETTINGS)
+    assert evaluation.summary([])["distinct_latents"] == 1
+    assert "every frame has the same latent" in caplog.text
+    assert exact.summary([])["distinct_latents"] == 3
+
+
 def test_a_network_without_a_surface_is_counted_as_failed(
     trajectory: Trajectory, samples: DistanceSamples, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -25,7 +25,7 @@ def test_hidden_layers_and_latent_follow_the_settings() -> None:
     assert encoder(torch.rand(4, 5, 3)).shape == (4, 32)
 
 
-def test_shapes_enter_with_mean_zero_and_deviation_one() -> None:
+def test_shapes_enter_with_mean_zero_and_length_one() -> None:
     shapes = 0.1 + 1e-3 * torch.randn(50, 20, 3)
     encoder = MeshEncoder(shapes, [4], 2)
     entered: list[torch.Tensor] = []
@@ -33,7 +33,7 @@ def test_shapes_enter_with_mean_zero_and_deviation_one() -> None:
     encoder(shapes)
     # float32 holds 0.1 m to 7e-9 m, which is 7e-6 of a deviation of 1e-3 m; summed over 50 shapes it stays below 1e-4
     assert float(entered[0].mean(dim=0).abs().max()) < 1e-4
-    assert abs(float(entered[0].square().mean().sqrt()) - 1) < 1e-4
+    assert abs(float(entered[0].square().sum(dim=1).mean().sqrt()) - 1) < 1e-4
 
 
 def test_moving_the_whole_family_changes_no_latent() -> None:

@@ -74,6 +74,7 @@ class Evaluation:
     eikonal_errors: dict[int, EikonalErrors]
     surfaces: dict[int, dict[str, Surface]]  # by frame, then truth or method
     knn1_bytes_per_frame: int
+    distinct_latents: int  # of all frames: 1 when the encoder tells no frame from another
     seconds: dict[str, float] = field(default_factory=dict)
     failures: dict[int, str] = field(default_factory=dict)  # by frame, why the network has no surface there
 
@@ -93,6 +94,7 @@ class Evaluation:
             summary |= {name: value for name, value in fields.items() if name not in ("frames", "failed_frames")}
         for name in ("eikonal_mean", "eikonal_p99"):
             summary[name] = float(np.mean([getattr(found, name) for found in self.eikonal_errors.values()]))
+        summary["distinct_latents"] = self.distinct_latents
         reference = summary["knn1_chamfer_l1_mm_mean"]
         summary["skill"] = 1 - summary["chamfer_l1_mm_mean"] / reference if math.isfinite(reference) else math.nan
         return summary
@@ -120,11 +122,15 @@ def evaluate(
     grid = Grid(samples.box.lower, samples.box.upper, settings.resolution)
     clock = _Clock()
     networks = quantised(networks.eval().cpu(), settings.storage)
-    latents = networks.latents(vertices)[frames]
+    latents = networks.latents(vertices)
+    distinct_latents = len(latents.unique(dim=0))
+    if distinct_latents == 1 and not bool((vertices == vertices[0]).all()):
+        logger.warning("every frame has the same latent: the network has learned one shape for all of them; lower optimizer.encoder_rate and train again")
+    latents = latents[frames]
     marched = _Marched(networks, latents, samples, grid, clock)
     truth = SurfaceDistance(trajectory.surface(0))
     by_method: dict[str, dict[int, SurfaceErrors]] = {method: {} for method in METHODS}
-    evaluation = Evaluation(networks, by_method, {}, {}, {}, {frame: {} for frame in wanted}, nearest_sample_bytes(samples.kept.shape[1]))
+    evaluation = Evaluation(networks, by_method, {}, {}, {}, {frame: {} for frame in wanted}, nearest_sample_bytes(samples.kept.shape[1]), distinct_latents)
     for place, frame in enumerate(frames):
         true = trajectory.surface(frame)
         truth.deform(true.vertices)
