@@ -143,8 +143,8 @@ def cost(settings: CostSettings, output: Path) -> None:
             summary = _summary(bench, found)
             _write(bench, output, found, summary, seconds, load_before)
     console = screen()
-    console.print("\n".join(text_of(found, summary)), markup=False)
-    console.print(f"written to {output}; open {output / 'report.html'}", markup=False)
+    console.print("\n".join(text_of(found, summary)))
+    console.print(f"written to {output}; open {output / 'report.html'}")
     if bench.speed is None and not any(point.is_measured for study in found for point in study.points):
         raise ConfigurationError("at least one study must be made, found that each failed with the reason above")
 

@@ -27,7 +27,7 @@ def take_over(name: str) -> None:
     taken = [line for line in offered if key_of(line) not in {"resume", *map(key_of, overrides)}]
     if taken:
         sys.argv[sys.argv.index(overrides[0]) : 0] = taken
-        screen().print(f"taken from the run in {settings.parent}: {' '.join(taken)}", markup=False)
+        screen().print(f"taken from the run in {settings.parent}: {' '.join(taken)}")
 
 
 def typed_for(settings: Path) -> list[str]:

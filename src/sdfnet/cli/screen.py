@@ -8,5 +8,5 @@ UNLIMITED = 1000  # columns, for output that goes into a file: a table takes tho
 
 
 def screen() -> Console:
-    """A console whose sentences stay whole lines; in a file, tables do too."""
-    return Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else UNLIMITED)
+    """A console that prints brackets as they are and keeps sentences on their line; in a file, tables too."""
+    return Console(highlight=False, markup=False, soft_wrap=True, width=None if sys.stdout.isatty() else UNLIMITED)

@@ -100,7 +100,7 @@ def run_job(config: DictConfig) -> float | tuple[float, ...] | None:
         job = read_job(folder)
     found = {name: (job.result or {}).get(name) for name in config.target.objectives}
     shown = ", ".join(f"{name} {'nothing' if value is None else f'{value:.4g}'}" for name, value in found.items()) if job.result else job.reason
-    screen().print(f"{job.status}: {' '.join(overrides)}: {shown}", markup=False)
+    screen().print(f"{job.status}: {' '.join(overrides)}: {shown}")
     values = tuple(float(value) for value in found.values() if value is not None)
     if len(values) < len(found):
         return None
@@ -111,15 +111,15 @@ def finish(sweep_folder: Path, target: Target) -> bool:
     """Print and write the table of a sweep; whether it has jobs and all of them finished or were left out."""
     jobs, console = read_jobs(sweep_folder), screen()
     if all(job.status == NOT_STARTED for job in jobs):
-        console.print(f"no job of the sweep began in '{sweep_folder}', so there is no table", markup=False)
+        console.print(f"no job of the sweep began in '{sweep_folder}', so there is no table")
         return False
     write_tables(sweep_folder, jobs, target)
     console.print(table_of(jobs, target))
-    console.print("\n".join(sentences_of(jobs, target)), markup=False)
+    console.print("\n".join(sentences_of(jobs, target)))
     others = unplanned(sweep_folder)
     if others:
-        console.print(f"not counted, because this sweep does not ask for them: {', '.join(others)}", markup=False)
-    console.print(f"written to {sweep_folder}; the same command goes on with what is not finished", markup=False)
+        console.print(f"not counted, because this sweep does not ask for them: {', '.join(others)}")
+    console.print(f"written to {sweep_folder}; the same command goes on with what is not finished")
     return all(job.status in (FINISHED, LEFT_OUT) for job in jobs)
 
 

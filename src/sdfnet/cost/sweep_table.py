@@ -19,7 +19,8 @@ FINISHED, FAILED, LEFT_OUT, RUNNING, NOT_STARTED = "finished", "failed", "left o
 FRAMES = ("worst", "mean")
 JOB_COLUMNS = (
     "decoder_parameters", "encoder_parameters", "query_bytes", "chamfer_l1_mm_mean", "chamfer_l1_mm_worst", "knn1_chamfer_l1_mm_mean",
-    "knn1_chamfer_l1_mm_worst", "floor_chamfer_l1_mm_mean", "hausdorff_mm_worst", "normal_degrees_mean", "failed_frames", "train_seconds",
+    "knn1_chamfer_l1_mm_worst", "floor_chamfer_l1_mm_mean", "hausdorff_mm_worst", "normal_degrees_mean", "failed_frames", "distinct_latents",
+    "train_seconds",
 )  # fmt: skip
 ERRORS = tuple(f"{entry.name}_{frames}" for kind in (SurfaceErrors, VolumeErrors, FieldErrors) for entry in fields(kind) for frames in FRAMES)
 # What a sweeper may minimise; those of frames never trained on are there where the split leaves frames out.

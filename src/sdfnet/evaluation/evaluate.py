@@ -74,7 +74,7 @@ class Evaluation:
     eikonal_errors: dict[int, EikonalErrors]
     surfaces: dict[int, dict[str, Surface]]  # by frame, then truth or method
     knn1_bytes_per_frame: int
-    distinct_latents: int  # of all frames: 1 when the encoder tells no frame from another
+    distinct_latents: int  # of all frames, as stored: 1 when the encoder tells no frame from another
     seconds: dict[str, float] = field(default_factory=dict)
     failures: dict[int, str] = field(default_factory=dict)  # by frame, why the network has no surface there
 
@@ -125,7 +125,7 @@ def evaluate(
     latents = networks.latents(vertices)
     distinct_latents = len(latents.unique(dim=0))
     if distinct_latents == 1 and not bool((vertices == vertices[0]).all()):
-        logger.warning("every frame has the same latent: the network has learned one shape for all of them; lower optimizer.encoder_rate and train again")
+        logger.warning("every frame has the same latent: the network has learned one shape for all of them; with an encoder, lower optimizer.encoder_rate")
     latents = latents[frames]
     marched = _Marched(networks, latents, samples, grid, clock)
     truth = SurfaceDistance(trajectory.surface(0))

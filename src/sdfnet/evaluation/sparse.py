@@ -1,5 +1,6 @@
 """Values on a grid only where the surface may be: coarse to fine, each point first predicted from the coarser points about it."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,10 +11,10 @@ from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.reconstruct import Grid, extent
 from sdfnet.geometry.distance import SurfaceDistance
 
-COARSEST = 8  # cells between the points that are all asked for
-STEPS = (4, 2, 1)  # cells between the points of each finer level
+STEPS = (4, 2, 1)  # cells between the points of each level but the coarsest
+COARSEST = 2 * STEPS[0]  # cells between the points that are all asked for
 EXACT = (1.0, 1.0, 1.0)  # a true distance changes by at most one metre a metre, at every level
-ROUNDING = 1e-4  # part of the bound added to it, for values rounded to float32
+ROUNDING = 1e-4  # added to every slope, for values rounded to float32
 EVERY_SECOND = (slice(None, None, 2),) * 3
 
 Ask = Callable[[Int64[np.ndarray, " points"]], Float32[np.ndarray, " points"]]
@@ -25,7 +26,7 @@ class SparseValues:
 
     values: Float32[np.ndarray, "x y z"]  # m
     start: tuple[int, int, int]  # place in the grid of the block's first point
-    asked: int  # at how many points the field was evaluated
+    asked: int  # how many values of the field were evaluated
 
 
 def _mean(first: Float32[np.ndarray, "x y z"], second: Float32[np.ndarray, "x y z"]) -> Float32[np.ndarray, "x y z"]:
@@ -36,17 +37,17 @@ def sparse_values(ask: Ask, grid: Grid, slopes: tuple[float, ...] = EXACT) -> Sp
     """Values (m) of a field where its surface may be. `ask` is given flat indices of grid points, z running fastest.
 
     Every eighth point along each axis is asked for, then those at every fourth, every second and all. A point of a finer
-    level is predicted first: the mean p of its 2, 4 or 8 neighbours of the coarser one, each d away. Where |p| > L d it
-    has the sign of p and is no nearer to zero than the highest neighbour less L d, which the next level takes for its
-    value; elsewhere it is asked for, and so is each end of an edge along which the sign changes: marching cubes looks at
+    level is predicted first: the mean p of its 1, 2, 4 or 8 neighbours of the coarser one, each d away. Where |p| > L d it
+    has the sign of p and is no nearer to zero than the neighbour farthest from it less L d, which the next level takes
+    for its value; elsewhere it is asked for, and so is each end of an edge along which the sign changes: marching cubes looks at
     these values and at no others. `slopes` holds L for each of STEPS: one for a true distance, `measured_slopes` for a
     network. Marching cubes finds the same triangles as in values of the whole grid as long as L holds; where it does not,
-    a piece of the surface is still found whole if any of its edges is. Values that are not finite are never left out.
-    Raises ConfigurationError when the slopes are not one positive number a level.
-    Not for a field that jumps, such as KNN-1, and not for measuring it: far values are bounds.
+    a piece of the surface is still found whole if any of its edges is. Values that are found not to be finite are kept.
+    Raises ConfigurationError when the slopes are not one positive, finite number a level.
+    Not for a field that jumps, such as KNN-1, and not for measuring it: far values have the right side, and no more.
     """
-    if len(slopes) != len(STEPS) or not all(slope > 0 for slope in slopes):
-        raise ConfigurationError(f"sparse values need a positive slope for each of the levels with points every {STEPS} cells, found {slopes}")
+    if len(slopes) != len(STEPS) or not all(0 < slope < math.inf for slope in slopes):
+        raise ConfigurationError(f"sparse values need a positive, finite slope for each of the levels with points every {STEPS} cells, found {slopes}")
     shape = (-(-grid.resolution // COARSEST),) * 3
     points = _Points(ask, grid, (0, 0, 0), COARSEST, np.zeros(shape, np.float32))
     points.require_all(np.ones(shape, bool))
@@ -54,6 +55,7 @@ def sparse_values(ask: Ask, grid: Grid, slopes: tuple[float, ...] = EXACT) -> Sp
         points = _finer(points, slope)
     block = _finer(_about_surface(points, slopes[-1]), slopes[-1])
     if block.is_left():  # where L does not hold, the surface may leave the block; it never leaves the grid
+        points.asked = block.asked
         block = _finer(points, slopes[-1])
     return SparseValues(block.values, block.start, block.asked)
 
@@ -66,7 +68,7 @@ def exact_values(distance: SurfaceDistance, grid: Grid) -> SparseValues:
 def predicted_between(
     values: Float32[np.ndarray, "half_x half_y half_z"], shape: tuple[int, int, int], of_two: Callable[[np.ndarray, np.ndarray], np.ndarray] = _mean
 ) -> Float32[np.ndarray, "x y z"]:
-    """Values at the points of a block of this shape from those at every second: themselves, or the mean of the 2, 4 or 8 that are nearest.
+    """Values at the points of a block of this shape from those at every second: themselves, or the mean of the 1, 2, 4 or 8 that are nearest.
 
     The mean of 4 is that of two means of two; `of_two` takes its place.
     """
@@ -124,7 +126,7 @@ class _Points:
         return self.require(np.flatnonzero(is_wanted & ~self.is_asked))
 
     def is_left(self) -> bool:
-        """Whether the field is negative on a face of the block that is not one of the grid's."""
+        """Whether the field is negative on a face of the block that is not one of the grid's; for a block of all points, step 1."""
         for axis, (first, count) in enumerate(zip(self.start, self.values.shape, strict=True)):
             inner = [0] * (first > 0) + [-1] * (first + count < self.grid.resolution)
             if (self.values.take(inner, axis) < 0).any():
