@@ -39,6 +39,19 @@ def test_measured_slopes_lose_no_small_steep_ball_wherever_it_lies(slope: float)
         np.testing.assert_array_equal(on_whole_grid(found, GRID) < 0, values < 0)
 
 
+def test_a_ball_measured_at_one_place_is_found_at_others() -> None:
+    slopes = measured_slopes(small_ball(2.0, centre=(24.0, 24.0, 24.0))[None], GRID)  # about one of the coarsest points
+    for moved in range(8):
+        values = small_ball(2.0, centre=(24.0 - moved,) * 3)
+        np.testing.assert_array_equal(on_whole_grid(searched(values, slopes), GRID) < 0, values < 0)
+
+
+def test_a_small_piece_far_from_a_large_one_counts() -> None:
+    beside = np.minimum(small_ball(1.0, 8.0, (12.0, 12.0, 12.0)), small_ball(3.0, 1.5, (35.0, 35.0, 35.0)))
+    slopes = measured_slopes(beside[None], GRID)
+    np.testing.assert_array_equal(on_whole_grid(searched(beside, slopes), GRID) < 0, beside < 0)
+
+
 def test_slopes_are_raised_together_and_no_further_than_the_field_rises() -> None:
     slopes = np.array(measured_slopes(small_ball(3.0)[None], GRID)) / SAFETY / LEAST
     assert slopes[0] == pytest.approx(slopes[1]) == pytest.approx(slopes[2])
