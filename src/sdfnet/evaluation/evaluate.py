@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 from sdfnet.checked import Checked
@@ -123,9 +123,7 @@ def evaluate(
     clock = _Clock()
     networks = quantised(networks.eval().cpu(), settings.storage)
     latents = networks.latents(vertices)
-    distinct_latents = len(latents.unique(dim=0))
-    if distinct_latents == 1 and not bool((vertices == vertices[0]).all()):
-        logger.warning("every frame has the same latent: the network has learned one shape for all of them; with an encoder, lower optimizer.encoder_rate")
+    distinct_latents = _distinct(latents, vertices)
     latents = latents[frames]
     marched = _Marched(networks, latents, samples, grid, clock)
     truth = SurfaceDistance(trajectory.surface(0))
@@ -151,6 +149,14 @@ def evaluate(
             progress(place + 1, len(frames))
     evaluation.seconds.update(clock.seconds)
     return evaluation
+
+
+def _distinct(latents: Float[Tensor, "frames latent"], vertices: Float32[Tensor, "frames vertices 3"]) -> int:
+    """How many latents differ; with a warning where different shapes share a single one."""
+    count = len(latents.unique(dim=0))
+    if count == 1 and not bool((vertices == vertices[0]).all()):
+        logger.warning("every frame has the same latent: the network has learned one shape for all of them; with an encoder, lower optimizer.encoder_rate")
+    return count
 
 
 def measured_frames(count: int, every: int) -> list[int]:
