@@ -23,9 +23,11 @@ def measured_slopes(values: Float32[np.ndarray, "frames x y z"], grid: Grid) -> 
     """
     slopes = np.array(LEAST)
     for field in values:
+        if not np.isfinite(field).all():
+            continue
         for first in range(min(COARSEST, grid.resolution - 1)):
             part = field[first:, first:, first:]
-            while np.isfinite(part).all() and not _finds_every_side(part, grid, first, tuple(slopes.tolist())):
+            while not _finds_every_side(part, grid, first, tuple(slopes.tolist())):
                 slopes *= RAISE
     return tuple((SAFETY * slopes).tolist())
 
