@@ -39,9 +39,9 @@ def sparse_values(ask: Ask, grid: Grid, slopes: tuple[float, ...] = EXACT) -> Sp
     Every eighth point along each axis is asked for, then those at every fourth, every second and all. A point of a finer
     level is predicted first: the mean p of its 1, 2, 4 or 8 neighbours of the coarser one, each d away. Where |p| > L d it
     has the sign of p and is no nearer to zero than the neighbour farthest from it less L d, which the next level takes
-    for its value; elsewhere it is asked for, and so is each end of an edge along which the sign changes: marching cubes looks at
-    these values and at no others. `slopes` holds L for each of STEPS: one for a true distance, `measured_slopes` for a
-    network. Marching cubes finds the same triangles as in values of the whole grid as long as L holds; where it does not,
+    for its value; elsewhere it is asked for. At the finest level so is each end of an edge along which the sign changes:
+    marching cubes looks at these values and at no others. `slopes` holds L for each of STEPS: one for a true distance,
+    `measured_slopes` for a network. Marching cubes finds the same triangles as in values of the whole grid as long as L holds; where it does not,
     a piece of the surface is still found whole if any of its edges is. Values that are found not to be finite are kept.
     Raises ConfigurationError when the slopes are not one positive, finite number a level.
     Not for a field that jumps, such as KNN-1, and not for measuring it: far values have the right side, and no more.
@@ -125,6 +125,16 @@ class _Points:
         """`require` what is wanted and was not asked for."""
         return self.require(np.flatnonzero(is_wanted & ~self.is_asked))
 
+    def follow(self, turned: Int64[np.ndarray, " points"]) -> None:
+        """`require` the other ends of edges that were not thought to be cut, about points that have turned, and about those that turn then."""
+        _, rows, columns = self.values.shape
+        steps = np.array([1, -1, columns, -columns, rows * columns, -rows * columns])
+        values, is_asked = self.values.reshape(-1), self.is_asked.reshape(-1)
+        while len(turned):  # after the last point of a row comes the next row's first, which is one too many at most
+            beside = (turned[:, None] + steps).clip(0, len(values) - 1)
+            is_end = (values[beside] < 0) != (values[turned] < 0)[:, None]
+            turned = self.require(np.unique(beside[is_end & ~is_asked[beside]]))
+
     def is_left(self) -> bool:
         """Whether the field is negative on a face of the block that is not one of the grid's; for a block of all points, step 1."""
         for axis, (first, count) in enumerate(zip(self.start, self.values.shape, strict=True)):
@@ -139,21 +149,16 @@ def _finer(coarse: _Points, slope: float) -> _Points:
     step = coarse.step // 2
     known = [2 * count for count in coarse.values.shape]
     left = [-(-(coarse.grid.resolution - first) // step) for first in coarse.start]
-    planes, rows, columns = shape = tuple(map(min, known, left))
+    shape = tuple(map(min, known, left))
     predicted, rise = predicted_between(coarse.values, shape), np.float32(step * (slope + ROUNDING)) * reach_between(coarse.grid, shape)
     is_close = ~(np.abs(predicted) > rise)
     points = _Points(coarse.ask, coarse.grid, coarse.start, step, predicted, coarse.asked)
     points.is_asked[EVERY_SECOND] = coarse.is_asked
     if step > 1:  # the next level predicts from these
         points.values = np.copysign(predicted_between(np.abs(coarse.values), shape, np.maximum) - rise, predicted)
-    turned = points.require_all(is_close | ends_of_cut_edges(predicted < 0))
-    steps = np.array([1, -1, columns, -columns, rows * columns, -rows * columns])
-    values, is_asked = points.values.reshape(-1), points.is_asked.reshape(-1)
-    while len(turned):
-        # Edges that were not thought to be cut: their other ends. After the last point of a row comes the next row's first, which is one too many at most.
-        beside = (turned[:, None] + steps).clip(0, len(values) - 1)
-        is_end = (values[beside] < 0) != (values[turned] < 0)[:, None]
-        turned = points.require(np.unique(beside[is_end & ~is_asked[beside]]))
+        points.require_all(is_close)
+    else:
+        points.follow(points.require_all(is_close | ends_of_cut_edges(predicted < 0)))
     return points
 
 
