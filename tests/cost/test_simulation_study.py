@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sdfnet.cost import simulation_study
 from sdfnet.cost.findings import findings_of, front_of
-from sdfnet.cost.simulation_study import _stepped, exact_in_time, rms_mm, simulation_time_study
+from sdfnet.cost.simulation_study import _stepped, clocked, exact_in_time, first_part, rms_mm, simulation_time_study
 from sdfnet.cost.space_study import displacements_at, simulation_space_study
 from sdfnet.cost.studies import Point, Study
 from sdfnet.errors import ConfigurationError, PhysicsError
@@ -17,9 +18,9 @@ from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.effects.pinned import Pinned
 from sdfnet.physics.effects.pressure_poke import PressurePoke
 from sdfnet.physics.effects.rayleigh_damping import RayleighDamping
-from sdfnet.physics.plan import plan
+from sdfnet.physics.plan import Plan, plan
 from sdfnet.physics.regions import HalfSpace
-from sdfnet.physics.simulate import run
+from sdfnet.physics.simulate import Progress, run
 from sdfnet.physics.trajectory import Trajectory
 from sdfnet.scene import Material, Recording, Scene, Solver
 
@@ -56,6 +57,25 @@ def errors_of(study: Study, method: str) -> list[float]:
 def default_of(study: Study) -> Point:
     (point,) = [point for point in study.points if point.is_default]
     return point
+
+
+def test_set_up_is_counted_once_for_the_whole_motion(monkeypatch: pytest.MonkeyPatch, mesh: TetMesh) -> None:
+    def second_of_set_up_and_one_of_steps(compiled: Plan, progress: Progress) -> Trajectory:
+        clock[0] += 2.0
+        progress(1, 1)
+        return Trajectory(mesh, np.zeros(1), np.zeros((1, len(mesh.nodes), 3)), 1.0, {"step_seconds": 1.0})
+
+    clock, third = [0.0], plan(replace(SCENE, recording=Recording(duration=0.01, frames=3)), mesh)
+    monkeypatch.setattr(simulation_study, "run", second_of_set_up_and_one_of_steps)
+    monkeypatch.setattr(simulation_study.time, "perf_counter", lambda: clock[0])
+    assert clocked(third, 0.03)[1:] == (2.0, pytest.approx(4.0))
+    assert clocked(third, 0.01)[1:] == (2.0, 2.0)
+
+
+def test_whole_motion_is_the_scene_itself_whatever_its_duration_is_rounded_to() -> None:
+    scene = replace(SCENE, recording=Recording(duration=0.03, frames=8))
+    assert 7 * (0.03 / 7) != 0.03
+    assert first_part(scene, 0.03) == scene
 
 
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
@@ -113,11 +133,13 @@ def test_damped_reference_is_not_extrapolated(mesh: TetMesh) -> None:
 def test_labels_say_what_part_of_the_motion_it_is_and_what_the_reference_is(mesh: TetMesh, in_time: Study) -> None:
     assert in_time.error_label == "RMS displacement error against the exact-in-time solution, same mass (mm)"
     assert in_time.cost_label == "integrator's set-up and steps for 40 ms of motion (s)"
-    assert in_time.share_of_whole == 1.0
+    assert "Errors and counts" not in " ".join(in_time.notes)
     quarter = simulation_time_study(SCENE, mesh, duration=0.01, quick=True)
-    assert quarter.cost_label == "integrator's set-up and steps for the first 10 of 40 ms of motion (s)"
-    assert quarter.share_of_whole == pytest.approx(0.25)
-    assert "the first 5 of 40 ms" in simulation_space_study(SCENE, mesh, 0.0, duration=0.005, quick=True).cost_label
+    assert quarter.cost_label == in_time.cost_label
+    assert quarter.notes[0].startswith("Errors and counts are those of the first 10 of 40 ms of motion; seconds are estimated for all of it")
+    eighth = simulation_space_study(SCENE, mesh, 0.0, duration=0.005, quick=True)
+    assert eighth.cost_label == "meshing, assembly and steps for 40 ms of motion (s)"
+    assert "the first 5 of 40 ms" in eighth.notes[0]
     damped = replace(SCENE, effects=EFFECTS | {"damping": RayleighDamping(mass=20.0)})
     label = simulation_time_study(damped, mesh, duration=0.005, quick=True).error_label
     assert label == "RMS displacement error against leapfrog with 1/8 of the auto step, same mass (mm)"

@@ -32,9 +32,9 @@ def simulation_time_study(scene: Scene, mesh: TetMesh, duration: float | None = 
 
     The error is the root mean square of the displacement difference over all frames and surface nodes; the reference is
     `exact_in_time`. The exact integrator has a point only in a scene that chose it. Seconds are of the integrator's set-up and
-    the steps. `duration` (s) studies only the frames up to then; `quick` only the scene's own mass, without the dearest
-    settings of Newmark and modal. A method that cannot do what the scene needs is a failed point. Raises ConfigurationError
-    when no frame falls within `duration`, and PhysicsError when the scene cannot be planned or never moves.
+    the steps. `duration` (s) runs only the frames up to then and estimates the seconds of all; `quick` studies only the scene's
+    own mass, without the dearest settings of Newmark and modal. A method that cannot do what the scene needs is a failed point.
+    Raises ConfigurationError when no frame falls within `duration`, and PhysicsError when the scene cannot be planned or never moves.
     """
     part = first_part(scene, duration)
     masses = (scene.solver.mass,) if quick else SOLVER_CHOICES["mass"]
@@ -42,16 +42,15 @@ def simulation_time_study(scene: Scene, mesh: TetMesh, duration: float | None = 
     bases = [plan(replace(part, solver=solver), mesh) for solver in solvers]
     if not bases[0].demands.moves:
         raise PhysicsError("an error in time needs a motion to compare with, found a scene that stays at rest; add a load to it")
-    found = [_points_in_time(base, part, quick) for base in bases]
+    found = [_points_in_time(base, scene, quick) for base in bases]
     return Study(
         name="simulation_time",
         stage="simulation",
         title="What the time step costs",
         error_label=f"RMS displacement error against {_reference_words(bases)}, same mass (mm)",
-        cost_label=f"integrator's set-up and steps for {part_words(part, scene)} (s)",
+        cost_label=f"integrator's set-up and steps for {part_words(scene, scene)} (s)",
         points=tuple(point for points, _ in found for point in points),
-        share_of_whole=part.recording.duration / scene.recording.duration,
-        notes=tuple(_notes(found, masses, part_words(part, scene))),
+        notes=(*part_notes(part, scene), *_notes(found, masses, part_words(part, scene))),
     )
 
 
@@ -59,6 +58,13 @@ def part_words(part: Scene, scene: Scene) -> str:
     """What part of a scene's motion it is."""
     before = "" if part == scene else f"the first {1e3 * part.recording.duration:.3g} of "
     return f"{before}{1e3 * scene.recording.duration:.3g} ms of motion"
+
+
+def part_notes(part: Scene, scene: Scene) -> tuple[str, ...]:
+    """What is measured and what is estimated, where only a part of the motion was run."""
+    if part == scene:
+        return ()
+    return (f"Errors and counts are those of {part_words(part, scene)}; seconds are estimated for all of it: set-up once, the steps in proportion.",)
 
 
 def first_part(scene: Scene, duration: float | None) -> Scene:
@@ -69,6 +75,8 @@ def first_part(scene: Scene, duration: float | None) -> Scene:
     intervals = min(round(duration / interval), scene.recording.frames - 1)
     if intervals < 1:
         raise ConfigurationError(f"a study needs at least one frame after rest, found a duration of {duration:.4g} s with frames every {interval:.4g} s")
+    if intervals == scene.recording.frames - 1:
+        return scene  # not a copy whose duration is rounded
     return replace(scene, recording=replace(scene.recording, duration=intervals * interval, frames=intervals + 1))
 
 
@@ -107,22 +115,25 @@ class _Measurement:
     """What is found of one plan over the turns."""
 
     compiled: Plan
+    motion: float  # s, all of it
     seconds: list[float] = field(default_factory=list)
+    is_dear: bool = False
     error_mm: float | None = None
     failure: str | None = None
 
     def take_turn(self, reference: Float64[np.ndarray, "frames nodes 3"]) -> None:
         """Run once more, unless it has failed or is dear."""
-        if self.failure is not None or (self.seconds and self.seconds[0] > CHEAP):
+        if self.failure is not None or self.is_dear:
             return
         try:
-            trajectory, seconds = clocked(self.compiled)
+            trajectory, seconds, whole = clocked(self.compiled, self.motion)
         except SdfnetError as error:
             self.failure = str(error)
             return
         surface = trajectory.mesh.surface_nodes
         self.error_mm = rms_mm(trajectory.displacements[:, surface], reference[:, surface])
-        self.seconds.append(seconds)
+        self.seconds.append(whole)
+        self.is_dear = seconds > CHEAP
 
     def point(self, scene: Scene) -> Point:
         """It in the diagram of a scene."""
@@ -168,7 +179,7 @@ def _notes(found: Sequence[tuple[list[Point], Displacements | None]], masses: Se
 
 def _points_in_time(base: Plan, scene: Scene, quick: bool) -> tuple[list[Point], Displacements | None]:
     """Those of the base's mass, and their reference; where that fails they all fail with it."""
-    measurements = [_Measurement(compiled) for compiled in _plans_in_time(base, scene.solver, quick)]
+    measurements = [_Measurement(compiled, scene.recording.duration) for compiled in _plans_in_time(base, scene.solver, quick)]
     try:
         reference = exact_in_time(base)
     except SdfnetError as error:
@@ -200,12 +211,16 @@ def _stepped(base: Plan, integrator: str, steps_per_frame: int) -> Plan:
     return replace(base, scene=replace(base.scene, solver=solver), limits=limits, steps_per_frame=steps_per_frame)
 
 
-def clocked(compiled: Plan) -> tuple[Trajectory, float]:
-    """A run, and the seconds to its last frame; what is checked afterwards is no part of it."""
+def clocked(compiled: Plan, motion: float) -> tuple[Trajectory, float, float]:
+    """A run, the seconds to its last frame, and those to the end of a `motion` (s): the set-up once, the steps in proportion.
+
+    What is checked after the last frame is no part of either.
+    """
     laps: list[float] = []
     began = time.perf_counter()
     trajectory = run(compiled, lambda done, total: laps.append(time.perf_counter() - began))
-    return trajectory, laps[-1]
+    still_to_step = motion / compiled.scene.recording.duration - 1
+    return trajectory, laps[-1], laps[-1] + still_to_step * float(trajectory.report["step_seconds"])
 
 
 def counts_of(compiled: Plan) -> dict[str, int]:

@@ -11,7 +11,7 @@ import pyvista
 from jaxtyping import Float64
 from trimesh.triangles import points_to_barycentric
 
-from sdfnet.cost.simulation_study import clocked, counts_of, first_part, overrides_of, part_words, rms_mm
+from sdfnet.cost.simulation_study import clocked, counts_of, first_part, overrides_of, part_notes, part_words, rms_mm
 from sdfnet.cost.studies import Point, Study, Timing
 from sdfnet.errors import SdfnetError
 from sdfnet.geometry.solids import Box, ClosedSurface, Sphere
@@ -29,7 +29,8 @@ def simulation_space_study(scene: Scene, mesh: TetMesh, mesh_seconds: float, dur
     The error is the root mean square of the displacement difference over all frames at the mesh's surface nodes; on another
     mesh the displacement is that of the nearest place of its rest surface. How far the rest surfaces lie apart is not in it.
     All runs keep the scene's integrator, whose error in time `simulation_time_study` gives. Seconds are of meshing, assembly,
-    set-up and steps; `mesh_seconds` is what the given mesh took. `quick` leaves out the other meshes and the other mass.
+    set-up and steps, of a part of the motion estimated for all; `mesh_seconds` is what the given mesh took. `quick` leaves out
+    the other meshes and the other mass.
 
     Quadratic tets take five times the steps of linear ones, each ten times as dear: on the bunny study a `duration` (s) of a
     tenth of the motion. Raises what planning and running the reference raise; what other points raise they keep.
@@ -37,7 +38,8 @@ def simulation_space_study(scene: Scene, mesh: TetMesh, mesh_seconds: float, dur
     whole, scene = scene, first_part(scene, duration)
     own, at = scene.solver, mesh.nodes[mesh.surface_nodes]
     solvers = {element: own if element == own.element else replace(own, element=element, time_step="auto") for element in SOLVER_CHOICES["element"]}
-    on_given = partial(_solution, make_mesh=lambda: mesh, mesh_seconds=mesh_seconds)
+    motion = whole.recording.duration
+    on_given = partial(_solution, make_mesh=lambda: mesh, motion=motion, mesh_seconds=mesh_seconds)
     variants: list[tuple[Scene, Callable[[], _Solution]]] = []
     variants += [(variant, partial(on_given, variant)) for variant in (replace(scene, solver=solvers[element]) for element in ("P1", "P1_nodal_pressure"))]
     if not quick:
@@ -46,7 +48,7 @@ def simulation_space_study(scene: Scene, mesh: TetMesh, mesh_seconds: float, dur
         variants.append((other_mass, partial(on_given, other_mass)))
         for geometry in other_meshes(scene.geometry):
             other = replace(scene, solver=linear, geometry=geometry)
-            variants.append((other, partial(_solution, other, geometry.tet_mesh)))
+            variants.append((other, partial(_solution, other, geometry.tet_mesh, motion)))
     quadratic = replace(scene, solver=solvers["P2"])
     best = on_given(quadratic)
     reference = displacements_at(at, best.trajectory)
@@ -57,8 +59,9 @@ def simulation_space_study(scene: Scene, mesh: TetMesh, mesh_seconds: float, dur
         stage="simulation",
         title="What mesh and elements cost",
         error_label="RMS displacement error against quadratic tets on the scene's mesh (mm)",
-        cost_label=f"meshing, assembly and steps for {part_words(scene, whole)} (s)",
+        cost_label=f"meshing, assembly and steps for {part_words(whole, whole)} (s)",
         points=tuple(points),
+        notes=part_notes(scene, whole),
     )
 
 
@@ -87,19 +90,19 @@ def displacements_at(points: Float64[np.ndarray, "points 3"], trajectory: Trajec
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """A run from the mesh on, what it took in all (s), and its counts."""
+    """A run from the mesh on, what all of the motion takes (s), and the run's counts."""
 
     trajectory: Trajectory
     seconds: float
     counts: dict[str, int]
 
 
-def _solution(scene: Scene, make_mesh: Callable[[], TetMesh], mesh_seconds: float = 0.0) -> _Solution:
-    """`mesh_seconds` is what a mesh took that only has to be handed over."""
+def _solution(scene: Scene, make_mesh: Callable[[], TetMesh], motion: float, mesh_seconds: float = 0.0) -> _Solution:
+    """`motion` is the duration (s) of all of it; `mesh_seconds` is what a mesh took that only has to be handed over."""
     began = time.perf_counter()
     compiled = plan(scene, make_mesh())
     planned = time.perf_counter() - began
-    trajectory, seconds = clocked(compiled)
+    trajectory, _, seconds = clocked(compiled, motion)
     return _Solution(trajectory, mesh_seconds + planned + seconds, counts_of(compiled))
 
 

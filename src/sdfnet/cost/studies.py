@@ -78,7 +78,7 @@ class Study:
     error_label: str  # what the error is measured against: "RMS displacement error against the exact-in-time solution (mm)"
     cost_label: str  # what the seconds or bytes are of: "for 10 ms of motion (s)"
     points: tuple[Point, ...]
-    share_of_whole: float = 1.0  # part of this stage of a default run that the seconds are of: 0.3 of the motion
+    share_of_whole: float = 1.0  # part of this stage of a default run that the seconds are of: one frame of a hundred
     notes: tuple[str, ...] = ()  # sentences that only the study itself can write: fitted orders, what a choice changes
 
 
