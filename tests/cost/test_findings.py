@@ -28,6 +28,10 @@ def test_findings_give_the_slope_of_a_power_law_and_say_when_the_default_is_beat
     assert "a tenth of the error costs 3 times the time" in text
     assert "is beaten by method, digit 2 (0.01 mm, 9 s): 3.3 times quicker and no less accurate" in text
     assert "1 of 6 points failed" in text
+    noisy = replace(beaten, seconds=Timing.of([8.0, 10.0, 12.0]))
+    assert "The default, method, asked for (0.05 mm, 10 s), is as quick as method, digit 2 (0.01 mm, 9 s), which is no less accurate." in findings_of(
+        study("simulation", *line, noisy)
+    )
     assert "The default is on the front: method, digit 1" in " ".join(
         findings_of(study("simulation", line[0], point(0.1, 3.0, "digit 1", is_default=True), line[2]))
     )
