@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from sdfnet.cost.findings import cheapest_whole, findings_of, front_of
+from sdfnet.cost.findings import cheapest_whole, findings_of, front_of, unmeasured
 from sdfnet.cost.studies import EXACT_MM, Point, Study, Timing, duration_text, interleaved
 
 
@@ -44,41 +44,56 @@ def test_study_in_which_everything_failed_says_why() -> None:
 SIMULATION = study("simulation_time", point(0.01, 10.0, is_default=True), point(0.3, 1.0, overrides=("a=1",)))
 DISTANCES = study("distances", point(1e-3, 2.0, is_default=True))
 TRAINING = study("training", point(0.1, 100.0, overrides=("b=2",)), point(0.5, 10.0, is_default=True))
+GRID = study("reconstruction", point(0.02, 0.3, is_default=True, overrides=("c=3",)), point(0.02, 0.1, "whole grid"), share_of_whole=0.1)
+STUDIES = (SIMULATION, DISTANCES, TRAINING, GRID)
 
 
-def test_cheapest_whole_adds_errors_and_seconds_of_one_point_of_each_study() -> None:
-    found = cheapest_whole([TRAINING, study("simulation_space", point(0.0, 0.0, is_default=True)), DISTANCES, SIMULATION], 0.45)
+def test_cheapest_whole_adds_errors_and_seconds_of_one_point_of_each_study_and_the_seconds_of_the_mesh() -> None:
+    found = cheapest_whole(STUDIES[::-1], 0.45, 7.0)
     assert found is not None
-    assert [one.pair for one in found.points] == [(0.3, 1.0), (1e-3, 2.0), (0.1, 100.0)]
-    assert (found.error_mm, found.seconds) == (pytest.approx(0.401), 103.0)
-    assert "python train.py a=1 b=2" in found.words()
-    too_much = cheapest_whole([SIMULATION, DISTANCES, TRAINING], 0.05)
+    assert [one.pair for one in found.points] == [(0.3, 1.0), (1e-3, 2.0), (0.1, 100.0), (0.02, pytest.approx(3.0))]
+    assert (found.error_mm, found.seconds) == (pytest.approx(0.421), pytest.approx(113.0))
+    assert found.overrides == ["a=1", "b=2", "c=3"]
+    assert "113 s for the tet mesh (7 s), the whole motion" in found.words()
+    assert "root mean square displacement: method, s (0.3 mm, 1 s); root mean square distance: method, s (0.001 mm, 2 s)" in found.words()
+    assert "mean distance error within 1 % of the diagonal: method, s (0.1 mm, 100 s); chamfer L1: method, s (0.02 mm, 3 s)." in found.words()
+    too_much = cheapest_whole(STUDIES, 0.05, 7.0)
     assert too_much is not None
-    assert "0.05 mm: no time step, distances and training that were measured are accurate enough" in too_much.words()
+    assert "0.05 mm: no time step, distances, training and grid that were measured are accurate enough" in too_much.words()
+
+
+def test_error_of_the_tet_mesh_is_told_beside_the_sum_where_it_was_measured() -> None:
+    quadratic = point(0.0, 9.0, "P2", is_reference=True, is_default=True)
+    found = [cheapest_whole([*STUDIES, study("simulation_space", *own, quadratic)], 0.45, 7.0) for own in ((), (point(0.2, 1.0, is_default=True),))]
+    assert [one is not None and "quadratic tets by 0.2 mm (simulation_space), which is not among them" in one.words() for one in found] == [False, True]
+    assert found[0] is not None
+    assert "Their errors sum to 0.421 mm. root mean square" in found[0].words()
 
 
 def test_whole_has_the_seconds_of_the_whole_run_and_not_of_the_part_that_was_studied() -> None:
-    third = replace(SIMULATION, share_of_whole=1 / 3)
     million = replace(DISTANCES, share_of_whole=1 / 131.3)
-    found = cheapest_whole([third, million, TRAINING], 0.45)
+    found = cheapest_whole([SIMULATION, million, TRAINING, GRID], 0.45, 0.0)
     assert found is not None
-    assert [one.pair[1] for one in found.points] == pytest.approx([3.0, 262.6, 100.0])
-    assert "366 s for the whole motion" in found.words()
-    assert "(0.3 mm, 3 s)" in found.words()
+    assert [one.pair[1] for one in found.points] == pytest.approx([1.0, 262.6, 100.0, 3.0])
+    assert "367 s for the tet mesh" in found.words()
+    assert "(0.001 mm, 263 s)" in found.words()
 
 
 def test_whole_chooses_nothing_that_no_command_can_be_told_to_do() -> None:
     library = study("distances", point(0.0, 0.1, "a library"), point(1e-3, 2.0, "ours", is_default=True))
-    found = cheapest_whole([SIMULATION, library, TRAINING], 0.45)
+    found = cheapest_whole([SIMULATION, library, TRAINING, GRID], 0.45, 0.0)
     assert found is not None
     assert found.points[1].setting == "ours"
+    assert found.points[3].setting == "s", "the whole grid is quicker and cannot be asked for"
 
 
-@pytest.mark.parametrize("missing", [SIMULATION, DISTANCES, TRAINING])
+@pytest.mark.parametrize("missing", STUDIES)
 def test_whole_is_not_told_of_a_part_of_its_studies(missing: Study) -> None:
-    assert cheapest_whole([one for one in (SIMULATION, DISTANCES, TRAINING) if one is not missing], 0.45) is None
     failed = replace(missing, points=(point(None, None, failure="refused", is_default=True),))
-    assert cheapest_whole([failed if one is missing else one for one in (SIMULATION, DISTANCES, TRAINING)], 0.45) is None
+    for place in ((), (failed,)):
+        found = [*place, *(one for one in STUDIES if one is not missing)]
+        assert cheapest_whole(found, 0.45, 0.0) is None
+        assert unmeasured(found) == [missing.name]
 
 
 def test_reference_is_on_no_front_and_in_no_fit() -> None:

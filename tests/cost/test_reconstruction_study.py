@@ -2,6 +2,7 @@
 
 import math
 
+import pytest
 import torch
 
 from sdfnet.cost.reconstruction_study import QUICK_RESOLUTIONS, reconstruction_study
@@ -23,6 +24,9 @@ def test_error_of_the_grid_falls_with_the_square_of_its_spacing(ball_family: Sha
         assert all_points.counts["network queries"] == resolution**3
         assert few.counts["network queries"] < resolution**3
     assert [point.setting for point in study.points if point.is_default] == ["100^3"]
+    assert [point.overrides for point in sparse] == [(f"evaluation.resolution={resolution}",) for resolution in QUICK_RESOLUTIONS]
+    assert not any(point.overrides for point in whole), "no command can be told to take the whole grid"
+    assert study.share_of_whole == pytest.approx(1 / len(ball_family.trajectory.times))
 
 
 def test_network_without_a_surface_is_a_failed_point_at_every_resolution(ball_family: ShapeFamily) -> None:

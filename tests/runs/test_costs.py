@@ -2,21 +2,28 @@
 
 import csv
 import json
+import shlex
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from hydra.core.global_hydra import GlobalHydra
 
 from sdfnet.cli import costs
 from sdfnet.cli.costs import Bench
+from sdfnet.cli.entry import register
 from sdfnet.cli.settings import STUDIES
+from sdfnet.cost.findings import STUDIES_OF_THE_WHOLE
 from sdfnet.cost.studies import Point, Study, Timing
 from sdfnet.errors import PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.models.networks import RECORD
 from sdfnet.physics.plan import plan
+from sdfnet.plugins import frozen
 from sdfnet.scene import Scene
+from tests.composition import composed
 
 SMALL = (
     "dataset=sphere_squeeze", "dataset.scene.geometry.cells=4", "dataset.sampling.count=4000", "dataset.sampling.near_surface_count=4000",
@@ -56,7 +63,8 @@ def test_asked_studies_make_one_page_with_their_tables(command: Command, monkeyp
     assert found["made_with"]["threads"] >= 1
     said = capfd.readouterr().out
     assert "What the time step costs" in said
-    assert "python train.py" not in said, "no whole is told of two of its three studies"
+    assert "No cheapest run is named, because these were not measured: training, reconstruction." in said
+    assert "python train.py" not in said
     assert "What accuracy costs: sphere_squeeze" in (folder / "report.html").read_text()
 
 
@@ -70,6 +78,28 @@ def test_share_of_the_motion_that_is_run_is_the_one_that_was_asked_for(command: 
     monkeypatch.setattr(costs, "simulation_time_study", noted)
     command("cost", *SMALL, "studies=[simulation_time]", "motion_share=0.7")
     assert durations == pytest.approx([0.7])
+    assert "No cheapest run" not in (page_of() / "findings.txt").read_text(), "of one study alone nobody expects it"
+
+
+def test_named_command_is_the_run_that_was_studied(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    wide = Point("width 128", "60 s", 0.1, Timing.of([1.0]), overrides=("model.width=128",))
+    studies = {name: made(name)() for name in STUDIES_OF_THE_WHOLE}
+    studies["training"] = replace(studies["training"], points=(wide,))
+    monkeypatch.setattr(costs, "_made", lambda bench, name: [studies[name]])
+    monkeypatch.setattr(costs, "_write", lambda bench, output, found, summary, *rest: findings.append(summary))
+    findings: list[list[str]] = []
+    typed = ("+effect@dataset.scene.effects.weight=gravity", "dataset.scene.effects.weight.acceleration=[0,0,-1]", "data_folder=my data")
+    command("cost", *SMALL, *typed, "precision=32-true", f"studies=[{','.join(STUDIES_OF_THE_WHOLE)}]", "wanted_mm=[0.5,0.1]")
+    named, too_much, *_ = findings[-1]
+    words = shlex.split(named[named.index("python train.py") :])[2:]
+    kept = [word for word in SMALL if word not in ("model.width=16", "quick=true")]
+    assert words == [*kept, *typed, "trainer.precision=32-true", "model.width=128", "trainer.accelerator=cpu"]
+    assert too_much == "0.1 mm: no time step, distances, training and grid that were measured are accurate enough."
+    GlobalHydra.instance().clear()
+    register("train")
+    settings = frozen(composed("train", *words))
+    assert (settings.dataset.scene.geometry.cells, settings.model.width, settings.data_folder) == (4, 128, "my data")
+    assert "weight" in settings.dataset.scene.effects
 
 
 def test_study_of_a_network_without_one_says_what_to_give(command: Command, capfd: pytest.CaptureFixture[str]) -> None:
@@ -164,4 +194,4 @@ def test_every_study_of_the_quick_command_is_measured(command: Command) -> None:
         rows = list(csv.DictReader(file))
     assert {row["stage"] for row in rows if not row["failure"]} == {"simulation", "distances", "training", "network", "reconstruction"}
     whole = next(line for line in (page_of() / "findings.txt").read_text().splitlines() if line.startswith("1 mm: "))
-    assert "for the whole motion, the distances of every frame and the training" in whole
+    assert "the whole motion, the training, and the distances and the reconstruction of every frame" in whole

@@ -4,16 +4,19 @@ import logging
 import os
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import torch
+from hydra.core.hydra_config import HydraConfig
 
+from sdfnet.cli.earlier_run import key_of
 from sdfnet.cli.muted import muted
 from sdfnet.cli.screen import screen
-from sdfnet.cli.settings import STUDIES, CostSettings
+from sdfnet.cli.settings import STUDIES, CostSettings, TrainSettings
 from sdfnet.cost.distance_study import distance_study
-from sdfnet.cost.findings import cheapest_whole
+from sdfnet.cost.findings import STUDIES_OF_THE_WHOLE, Whole, cheapest_whole, unmeasured
 from sdfnet.cost.network_study import QUICK as QUICK_EFFORT
 from sdfnet.cost.network_study import (
     Effort,
@@ -31,6 +34,7 @@ from sdfnet.cost.report import text_of, write_report
 from sdfnet.cost.simulation_study import simulation_time_study
 from sdfnet.cost.space_study import simulation_space_study
 from sdfnet.cost.studies import Point, Study
+from sdfnet.cost.sweep_report import command_of
 from sdfnet.cost.sweep_table import read_jobs
 from sdfnet.cost.throughput import Throughput, measured_throughput
 from sdfnet.cost.training_study import FULL, QUICK, Trained, training_study
@@ -175,8 +179,28 @@ def _write(bench: Bench, output: Path, found: Sequence[Study], summary: Sequence
 
 def _summary(bench: Bench, found: Sequence[Study]) -> list[str]:
     """What stands above the studies: the cheapest whole for each wanted accuracy, step limits and training speed."""
-    wholes = [cheapest_whole(found, wanted) for wanted in bench.settings.wanted_mm]
-    lines = [whole.words() for whole in wholes if whole is not None]
+    lines = _cheapest_runs(bench, found)
     if any(study.name == "simulation_time" for study in found):
         lines += ["This integrator has no stability limit."] if bench.limits is None else bench.limits.lines()
     return lines + ([] if bench.speed is None else bench.speed.lines())
+
+
+def _cheapest_runs(bench: Bench, found: Sequence[Study]) -> list[str]:
+    """The cheapest whole for each wanted accuracy with its command; or what it wants, where at least two of its studies were asked for."""
+    wholes = [cheapest_whole(found, wanted, bench.family.files.seconds["tet mesh"]) for wanted in bench.settings.wanted_mm]
+    if None in wholes and len(STUDIES_OF_THE_WHOLE.keys() & set(bench.settings.studies)) > 1:
+        return [f"No cheapest run is named, because these were not measured: {', '.join(unmeasured(found))}."]
+    return [f"{whole.words()} {_command(whole)}".rstrip() for whole in wholes if whole is not None]
+
+
+def _command(whole: Whole) -> str:
+    """The command that makes a whole: what was typed for the studies and train.py understands, then what was chosen. Empty without a choice.
+
+    The studies train on the CPU, where train.py would take a GPU that it finds.
+    """
+    if not whole.points:
+        return ""
+    of_studies = {entry.name for entry in fields(CostSettings)} - {entry.name for entry in fields(TrainSettings)}
+    chosen = [*whole.overrides, "trainer.accelerator=cpu"]
+    typed = [f"trainer.{line.lstrip('+')}" if key_of(line) == "precision" else line for line in HydraConfig.get().overrides.task]
+    return command_of([line for line in typed if key_of(line) not in of_studies.union(map(key_of, chosen))] + chosen)

@@ -120,7 +120,7 @@ class CostSettings:
     motion_share: float | None = None  # of the scene's duration that simulation_time runs; none: a third, or a fifth when quick
     checkpoint: str | None = None  # the network that is asked and reconstructed; none: the default that the training study makes
     sweep_folder: str | None = None  # the folder of a sweep whose networks enter the network study; none: those of the training study alone
-    wanted_mm: tuple[float, ...] = (1.0, 0.3, 0.1)  # accuracies for which the cheapest time step, distances and training are named
+    wanted_mm: tuple[float, ...] = (1.0, 0.3, 0.1)  # accuracies for which the cheapest run is named
     data_folder: str = "outputs/data"
 
     def __post_init__(self) -> None:

@@ -6,15 +6,22 @@ from dataclasses import dataclass, replace
 from sdfnet.cost.frontier import cheapest, factor_per_digit, knee, pareto_front
 from sdfnet.cost.studies import Point, Study, duration_text
 
-STUDIES_OF_THE_WHOLE = ("simulation_time", "distances", "training")  # whose errors are of one run and whose overrides can be given together
+STUDIES_OF_THE_WHOLE = {  # whose overrides can be given together, and which error each has
+    "simulation_time": "root mean square displacement",
+    "distances": "root mean square distance",
+    "training": "mean distance error within 1 % of the diagonal",
+    "reconstruction": "chamfer L1",
+}
 
 
 @dataclass(frozen=True)
 class Whole:
-    """A time step, a way to the distances and a training that together are the cheapest run of a wanted accuracy."""
+    """A time step, a way to the distances, a training and a grid that together are the cheapest run of a wanted accuracy."""
 
     wanted_mm: float
     points: tuple[Point, ...]  # with the seconds of the whole run; empty when no combination is accurate enough
+    mesh_seconds: float  # of the tet mesh, which every run needs
+    mesh_error_mm: float | None  # of the tet mesh itself; None where it was not measured
 
     @property
     def error_mm(self) -> float:
@@ -23,18 +30,25 @@ class Whole:
 
     @property
     def seconds(self) -> float:
-        """The seconds of the whole motion, the distances of every frame, and the training."""
-        return sum(point.pair[1] for point in self.points)
+        """The seconds of the tet mesh, the whole motion, the training, and the distances and the reconstruction of every frame."""
+        return self.mesh_seconds + sum(point.pair[1] for point in self.points)
+
+    @property
+    def overrides(self) -> list[str]:
+        """What `train.py` must be told beside what the studies were told."""
+        return [override for point in self.points for override in point.overrides]
 
     def words(self) -> str:
-        """The answer in a sentence, with the overrides that make the commands do it."""
+        """The answer in sentences."""
         if not self.points:
-            return f"{self.wanted_mm:g} mm: no time step, distances and training that were measured are accurate enough."
-        overrides = " ".join(override for point in self.points for override in point.overrides)
-        chosen = "; ".join(point.words() for point in self.points)
+            return f"{self.wanted_mm:g} mm: no time step, distances, training and grid that were measured are accurate enough."
+        chosen = "; ".join(f"{error}: {point.words()}" for error, point in zip(STUDIES_OF_THE_WHOLE.values(), self.points, strict=True))
+        mesh = ""
+        if self.mesh_error_mm is not None:
+            mesh = f"; the tet mesh itself differs from quadratic tets by {self.mesh_error_mm:.3g} mm (simulation_space), which is not among them"
         return (
-            f"{self.wanted_mm:g} mm: {duration_text(self.seconds)} for the whole motion, the distances of every frame and the training; their errors sum to "
-            f"{self.error_mm:.3g} mm, to which tet mesh and grid add their own: {chosen}. python train.py {overrides}".rstrip()
+            f"{self.wanted_mm:g} mm: {duration_text(self.seconds)} for the tet mesh ({duration_text(self.mesh_seconds)}), the whole motion, the training, and "
+            f"the distances and the reconstruction of every frame. Their errors sum to {self.error_mm:.3g} mm{mesh}. {chosen}."
         )
 
 
@@ -72,19 +86,28 @@ def findings_of(study: Study) -> list[str]:
     return [*sentences, *study.notes]
 
 
-def cheapest_whole(studies: Sequence[Study], wanted_mm: float) -> Whole | None:
+def cheapest_whole(studies: Sequence[Study], wanted_mm: float, mesh_seconds: float) -> Whole | None:
     """The cheapest points, one of each study of the whole, whose errors add up to at most `wanted_mm`; None where one was not measured.
 
-    Only what a command can be told to do is chosen. Seconds are scaled from what each study ran to the whole run. Errors
-    are added, the safe side: they may all point the same way. The error of the tet mesh, which is that of another solution,
-    and of the grid, which every frame pays again, are not among them: their studies have them.
+    Only what a command can be told to do is chosen. Seconds are scaled from what each study ran to the whole run; those of
+    the reconstruction are of one network, whichever is chosen. Errors are added, the safe side: they may all point the same
+    way. The error of the tet mesh is not among them: it is that of another solution, and the accuracy is about the simulated solid.
     """
-    by_name = {study.name: _for_the_whole(study) for study in studies}
-    stages = [by_name.get(name, []) for name in STUDIES_OF_THE_WHOLE]
-    if not all(stages):
+    if unmeasured(studies):
         return None
+    by_name = {study.name: study for study in studies}
+    stages = [_for_the_whole(by_name[name]) for name in STUDIES_OF_THE_WHOLE]
     places = cheapest([[point.pair for point in points] for points in stages], wanted_mm)
-    return Whole(wanted_mm, () if places is None else tuple(points[place] for points, place in zip(stages, places, strict=True)))
+    chosen = () if places is None else tuple(points[place] for points, place in zip(stages, places, strict=True))
+    in_space = by_name["simulation_space"].points if "simulation_space" in by_name else ()
+    mesh_errors = [point.error_mm for point in in_space if point.is_default and point.is_measured and not point.is_reference]
+    return Whole(wanted_mm, chosen, mesh_seconds, mesh_errors[0] if mesh_errors else None)
+
+
+def unmeasured(studies: Sequence[Study]) -> list[str]:
+    """The studies of the whole that are missing or have no point that a command can be told to do."""
+    measured = [study.name for study in studies if _for_the_whole(study)]
+    return [name for name in STUDIES_OF_THE_WHOLE if name not in measured]
 
 
 def _for_the_whole(study: Study) -> list[Point]:

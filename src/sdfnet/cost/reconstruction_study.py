@@ -46,7 +46,8 @@ def reconstruction_study(networks: Networks, trajectory: Trajectory, samples: Di
         except SdfnetError as failure:
             points.append(Point("sparse", f"{resolution}^3", overrides=overrides, failure=str(failure)))
     title, error_label = "What reconstruction costs", "chamfer L1 of marching cubes on the exact distance, last frame (mm)"
-    return Study("reconstruction", "reconstruction", title, error_label, "network and marching cubes for one frame (s)", tuple(points))
+    cost_label, share_of_whole = "network and marching cubes for one frame (s)", 1 / len(trajectory.times)
+    return Study("reconstruction", "reconstruction", title, error_label, cost_label, tuple(points), share_of_whole)
 
 
 def _timed(networks: Networks, latents: torch.Tensor, grid: Grid, error: float, overrides: tuple[str, ...]) -> list[Point]:
@@ -59,7 +60,7 @@ def _timed(networks: Networks, latents: torch.Tensor, grid: Grid, error: float, 
     return [
         Point(
             way, f"{grid.resolution}^3", error, timings[way], {"network queries": counts[way]},
-            is_default=way == "sparse" and grid.resolution == DEFAULT_RESOLUTION, overrides=overrides,
+            is_default=way == "sparse" and grid.resolution == DEFAULT_RESOLUTION, overrides=overrides if way == "sparse" else (),
         )
         for way in ways
     ]  # fmt: skip
