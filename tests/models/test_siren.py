@@ -38,3 +38,11 @@ def test_the_decoders_layers_begin_within_the_bounds_of_the_paper() -> None:
         # the largest of 64 or more uniform numbers lies within a fifth of the bound but for a chance of 1e-6
         assert 0.8 * bound < float(layer.weight.detach().abs().max()) <= bound
     assert 0.8 * 20 / math.sqrt(16) < float(decoder.from_latent.bias.detach().abs().max()) <= 20 / math.sqrt(16)
+
+
+@torch.no_grad()
+def test_a_modulated_decoder_begins_with_every_layer_nearly_as_it_is_without_its_latent() -> None:
+    settings = ModelSettings(width=64, depth=3, taper=False, latent=16, activation="siren", omega=20.0, conditioning="modulated")
+    decoder = SdfCalculator(settings, torch.zeros(3), torch.ones(3))
+    scales, _ = decoder.from_latent(torch.nn.functional.normalize(torch.randn(8, 16))).chunk(2, dim=-1)
+    assert float(scales.abs().max()) < 1  # no layer starts with its sign turned

@@ -16,6 +16,7 @@ import trimesh
 from hydra.core.global_hydra import GlobalHydra
 
 import sdfnet.cli
+from sdfnet.cli.earlier_run import take_over
 from sdfnet.errors import TrainingError
 from sdfnet.models.networks import RECORD
 from sdfnet.plugins import shipped
@@ -380,3 +381,13 @@ def test_each_script_shows_its_settings_and_refuses_a_wrong_key(name: str) -> No
     assert wrong.returncode == 1
     assert "Did you mean 'data_folder'?" in wrong.stderr
     assert "Traceback" not in wrong.stderr
+
+
+@pytest.mark.parametrize("resume", [[], ["resume=null"]])
+def test_a_run_in_the_folder_where_it_is_typed_is_no_earlier_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], resume: list[str]) -> None:
+    Path(".hydra").mkdir()
+    Path(".hydra/overrides.yaml").write_text("[model.width=8]")
+    monkeypatch.setattr(sys, "argv", ["train.py", "seed=1", *resume])
+    take_over("train")
+    assert sys.argv == ["train.py", "seed=1", *resume]
+    assert capsys.readouterr().out == ""

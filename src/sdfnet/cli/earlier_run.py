@@ -19,9 +19,9 @@ def take_over(name: str) -> None:
     """Put the settings of the run that `resume` or `checkpoint` names before those that are typed, which win; say which they are."""
     overrides = typed()
     given = {key_of(line): line.split("=", 1)[1] for line in overrides if "=" in line}
-    checkpoint = Path(given.get({"train": "resume", "evaluate": "checkpoint"}.get(name, ""), "null").strip("'\""))
-    settings = checkpoint.parent.parent / ".hydra"
-    if not settings.is_dir():
+    checkpoint = given.get({"train": "resume", "evaluate": "checkpoint"}.get(name, ""), "null").strip("'\"")
+    settings = Path(checkpoint).parent.parent / ".hydra"
+    if checkpoint in ("", "null") or not settings.is_dir():
         return
     offered = typed_for(settings) if name == "train" else measured_with(settings)
     taken = [line for line in offered if key_of(line) not in {"resume", *map(key_of, overrides)}]

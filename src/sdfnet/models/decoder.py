@@ -40,7 +40,8 @@ class SdfCalculator(nn.Module):
         self.layers = mlp([*widths, 1], settings.activation)
         if settings.activation == "siren":
             *hidden, last = self._linear_layers
-            initialise_siren(self.from_point, [self.from_latent, *hidden], last, settings.omega)
+            # What the latent gives is added to the first layer; as scales and shifts of all layers it has to begin small.
+            initialise_siren(self.from_point, hidden if self.is_modulated else [self.from_latent, *hidden], last, settings.omega)
 
     def forward(
         self, latents: Float[Tensor, "frames latent"], points: Float32[Tensor, "points 3"] | Float32[Tensor, "frames points 3"]
