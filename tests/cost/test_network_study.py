@@ -140,6 +140,13 @@ def test_kept_frames_are_measured_where_they_are_not_exact(count: int, effort: E
         assert len(kept) < len(frames) or stride > count - 2
 
 
+@pytest.mark.parametrize("every", [1, 3, 11])
+def test_ends_of_load_cases_are_not_measured_either(every: int) -> None:
+    frames = inner_frames(84, every, cases=4)
+    assert {frame // 21 for frame in frames} == {0, 1, 2, 3}
+    assert not {0, 20} & {frame % 21 for frame in frames}
+
+
 def test_networks_of_jobs_stand_beside_the_baselines(trajectory: Trajectory, samples: DistanceSamples, tmp_path: Path) -> None:
     job = trained(trajectory, samples, tmp_path / "run")
     lost = Job(tmp_path / "gone", (), FINISHED, result=job.result)

@@ -55,6 +55,17 @@ def test_interpolation_is_exact_in_the_frames_it_keeps(trajectory: Trajectory) -
     assert worst_chamfer(KeptFrames.of(vertices, 8), trajectory) > 2 * worst_chamfer(KeptFrames.of(vertices, 2), trajectory) > 0.01
 
 
+@pytest.mark.parametrize("stride", [2, 5, 100])
+def test_load_cases_that_follow_one_another_are_never_mixed(trajectory: Trajectory, stride: int) -> None:
+    vertices = trajectory.surface_vertices
+    moved = vertices + 1.0
+    both = KeptFrames.of(np.concatenate([vertices, moved]), stride, cases=2)
+    for case, own in enumerate((vertices, moved)):
+        alone = KeptFrames.of(own, stride)
+        for frame in range(FRAMES):
+            np.testing.assert_array_equal(both.vertices(case * FRAMES + frame), alone.vertices(frame))
+
+
 @pytest.mark.parametrize("stride", [2, 3, 5, 100])
 def test_even_motion_along_lines_is_exact_at_any_stride(stride: int) -> None:
     trajectory = ball_trajectory(FRAMES, is_straight=True)

@@ -142,12 +142,13 @@ def networks_trained_on(files: Mapping[str, str], checkpoint: Path) -> Networks:
 def baseline_candidates(trajectory: Trajectory, samples: DistanceSamples, grid: Grid, effort: Effort) -> list[Candidate]:
     """Every other way, at the sizes of `effort`; what has more modes or samples than there are is left out."""
     vertices, faces, box, kept = trajectory.surface_vertices, trajectory.mesh.surface_faces, samples.box, samples.kept.shape[1]
+    cases = max(1, len(trajectory.cases))
 
     def pod(modes: int) -> ShapeModel:
         return DeformedMesh(PodMotion.of(vertices, modes), faces)
 
     def interpolated(stride: int) -> ShapeModel:
-        return DeformedMesh(KeptFrames.of(vertices, stride), faces)
+        return DeformedMesh(KeptFrames.of(vertices, stride, cases), faces)
 
     def stored(points: int) -> ShapeModel:
         return marched_on_whole_grid(GridField.of(trajectory, Grid(box.lower, box.upper, points)), grid)
@@ -165,7 +166,7 @@ def baseline_candidates(trajectory: Trajectory, samples: DistanceSamples, grid: 
 
 def measured_shapes(candidates: Sequence[Candidate], trajectory: Trajectory, samples: DistanceSamples, effort: Effort) -> list[MeasuredShape]:
     """Errors, bytes and times of every candidate. What cannot be made, or has a frame without a surface, keeps its place with the reason."""
-    frames = inner_frames(len(trajectory.times), effort.every)
+    frames = inner_frames(len(trajectory.times), effort.every, max(1, len(trajectory.cases)))
     truth = SurfaceDistance(trajectory.surface(0))
     made: dict[int, ShapeModel] = {}
     found: list[MeasuredShape] = []
@@ -188,10 +189,10 @@ def measured_shapes(candidates: Sequence[Candidate], trajectory: Trajectory, sam
     ]
 
 
-def inner_frames(count: int, every: int) -> list[int]:
-    """Every `every`-th frame, or each where that would be fewer than four; not the first and the last, in which kept frames are always exact."""
-    every = every if count > 4 * every else 1
-    return list(range(max(1, every // 2), count - 1, every)) or [count - 1]
+def inner_frames(count: int, every: int, cases: int = 1) -> list[int]:
+    """Every `every`-th frame, or each where that would be fewer than four; not the first and the last of a load case, in which kept frames are always exact."""
+    every, length = every if count > 4 * every else 1, count // cases
+    return [frame for frame in range(every // 2, count, every) if 0 < frame % length < length - 1] or [count - 1]
 
 
 def _network_candidate(row: Row, jobs: Sequence[Job], trajectory: Trajectory, grid: Grid, files: Mapping[str, str]) -> Candidate:

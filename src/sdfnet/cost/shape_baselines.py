@@ -48,20 +48,21 @@ class PodMotion:
 
 @dataclass(frozen=True, eq=False)
 class KeptFrames:
-    """Every `stride`-th frame and the last are kept in float32; between two of them each vertex goes straight.
+    """Of each load case every `stride`-th frame and the last are kept in float32; between two of them each vertex goes straight.
 
-    Frames are taken as equally far apart in time. Not for load cases that follow one another: the frames at a seam are mixtures of two.
+    Frames are taken as equally far apart in time.
     """
 
     frames: Int64[np.ndarray, " kept"]
     positions: Float32[np.ndarray, "kept vertices 3"]  # m
 
     @classmethod
-    def of(cls, vertices: Float64[np.ndarray, "frames vertices 3"], stride: int) -> "KeptFrames":
-        """Keep frames 0, `stride`, 2 `stride` and so on. Raises ConfigurationError for a stride below 1."""
+    def of(cls, vertices: Float64[np.ndarray, "frames vertices 3"], stride: int, cases: int = 1) -> "KeptFrames":
+        """Keep frames 0, `stride`, 2 `stride` and so on of each of `cases` equally long cases. Raises ConfigurationError for a stride below 1."""
         if stride < 1:
             raise ConfigurationError(f"the stride of the kept frames must be at least 1, found {stride}")
-        kept = np.unique([*range(0, len(vertices), stride), len(vertices) - 1])
+        length = len(vertices) // cases
+        kept = np.array([frame for frame in range(len(vertices)) if frame % length % stride == 0 or frame % length == length - 1])
         return cls(kept, vertices[kept].astype(np.float32))
 
     @property
