@@ -1,12 +1,16 @@
 """Grids from coarse to fine: the error falls with the square of the spacing, both ways are timed on one grid."""
 
 import math
+from itertools import pairwise
 
 import pytest
 import torch
 
-from sdfnet.cost.reconstruction_study import QUICK_RESOLUTIONS, reconstruction_study
+from sdfnet.cost import reconstruction_study as module
+from sdfnet.cost.reconstruction_study import QUICK_RESOLUTIONS, REPEATS, WAYS, reconstruction_study
 from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.evaluation.sparse_network import SparseReconstruction
+from sdfnet.geometry.surface import Surface
 from tests.cost.conftest import ball_networks
 
 
@@ -34,5 +38,27 @@ def test_network_without_a_surface_is_a_failed_point_at_every_resolution(ball_fa
     with torch.no_grad():
         networks.decoder.from_latent.bias.fill_(5.0)
     study = reconstruction_study(networks, ball_family.trajectory, ball_family.samples, quick=True)
-    assert len(study.points) == len(QUICK_RESOLUTIONS)
+    assert [(point.method, point.setting) for point in study.points] == [(way, f"{resolution}^3") for resolution in QUICK_RESOLUTIONS for way in WAYS]
     assert all(point.failure is not None and "both sides of zero" in point.failure for point in study.points)
+
+
+def test_each_timing_is_of_another_frame_and_large_whole_grids_are_measured_too(ball_family: ShapeFamily, monkeypatch: pytest.MonkeyPatch) -> None:
+    networks, trajectory = ball_networks(ball_family), ball_family.trajectory
+    asked: list[torch.Tensor] = []
+    surface = SparseReconstruction.surface
+
+    def recorded(sparse: SparseReconstruction, latent: torch.Tensor) -> Surface:
+        asked.append(latent)
+        return surface(sparse, latent)
+
+    monkeypatch.setattr(SparseReconstruction, "surface", recorded)
+    monkeypatch.setattr(module, "QUICK_RESOLUTIONS", (16, 24))
+    monkeypatch.setattr(module, "DEAR_RESOLUTION", 16)
+    monkeypatch.setattr(module, "SURFACE_SAMPLES", 500)
+    study = reconstruction_study(networks, trajectory, ball_family.samples, quick=True)
+    latents = networks.latents(torch.from_numpy(trajectory.surface_vertices).float())
+    torch.testing.assert_close(torch.stack(asked[: REPEATS + 1]), latents[-1 - REPEATS :], rtol=0, atol=0)
+    assert not any(torch.equal(one, other) for one, other in pairwise(asked[: REPEATS + 1]))
+    assert [(point.method, point.setting, point.seconds and point.seconds.repeats) for point in study.points] == [
+        ("sparse", "16^3", 5), ("whole grid", "16^3", 5), ("sparse", "24^3", 2), ("whole grid", "24^3", 2)
+    ]  # fmt: skip
