@@ -110,10 +110,17 @@ def test_study_of_bytes_is_told_in_bytes() -> None:
     worse = Point("method", "default", 0.2, bytes=30, is_default=True)
     text = " ".join(findings_of(study("network", *sizes, worse)))
     assert "Smallest: method, size 1 (1 mm, 1 bytes)" in text
-    assert "a tenth of the error costs 10 times the bytes" in text
+    assert "a tenth of the error costs 10 times the size" in text
     assert "3 times smaller and no less accurate" in text
     assert "uick" not in text
     assert "time." not in text
+
+
+def test_point_without_time_and_bytes_is_told_in_its_count() -> None:
+    sizes = [Point("network", f"width {size}", 1 / size, counts={"decoder parameters": 1000 * size}) for size in (1, 10)]
+    text = " ".join(findings_of(study("network", *sizes)))
+    assert "Smallest: network, width 1 (1 mm, 1,000 decoder parameters)" in text
+    assert "a tenth of the error costs 10 times the size" in text
 
 
 def test_error_of_zero_can_stand_on_a_logarithmic_axis() -> None:

@@ -19,23 +19,27 @@ from sdfnet.cost.network_study import (
     baseline_candidates,
     inner_frames,
     measured_shapes,
-    network_candidates,
+    network_candidate,
+    network_studies,
     networks_trained_on,
-    studies_of,
+    sweep_candidates,
 )
 from sdfnet.cost.shape_baselines import PodMotion
 from sdfnet.cost.sweep_table import FAILED, FINISHED, Job
-from sdfnet.data.store import DistanceSamples
-from sdfnet.errors import ConfigurationError, ReconstructionError
+from sdfnet.data.datamodule import ShapeFamily
+from sdfnet.data.store import DistanceSamples, described
+from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.metrics import surface_errors
 from sdfnet.evaluation.reconstruct import Grid
 from sdfnet.models.networks import CHECKPOINT_PREFIX, RECORD, Networks, load_networks
 from sdfnet.models.quantise import quantised
 from sdfnet.models.settings import ModelSettings
 from sdfnet.physics.trajectory import Trajectory
+from tests.cost.conftest import ball_networks
 from tests.evaluation.shape_family import ball_trajectory
 
 FRAMES = 7
+ASKED: dict[str, Any] = {"model": ModelSettings(width=8, depth=1, latent=2, encoder_width=4, encoder_depth=1), "split": "all"}
 SMALL = Effort(
     every=1,
     resolution=24,
@@ -66,14 +70,14 @@ def shapes(trajectory: Trajectory, samples: DistanceSamples) -> dict[tuple[str, 
 def trained(trajectory: Trajectory, samples: DistanceSamples, folder: Path, vertices: int | None = None) -> Job:
     """A job whose network is a ball of 4 cm in every frame: no training is needed for that."""
     lower, upper = (torch.from_numpy(corner).float() for corner in (samples.box.lower, samples.box.upper))
-    settings = ModelSettings(width=8, depth=1, latent=2, encoder_width=4, encoder_depth=1)
+    settings = ASKED["model"]
     networks = Networks(settings, torch.from_numpy(trajectory.surface_vertices[:, :vertices].astype(np.float32)), lower, upper)
     (folder / "checkpoints").mkdir(parents=True)
     record = {"model": {name: getattr(settings, name) for name in ("width", "depth", "latent", "encoder_width", "encoder_depth")}}
     weights = {CHECKPOINT_PREFIX + name: values for name, values in networks.state_dict().items()}
     torch.save({RECORD: record, "state_dict": weights}, folder / "checkpoints" / "last.ckpt")
     result: dict[str, Any] = {**networks.sizes(FRAMES), "chamfer_l1_mm_mean": 0.25, "chamfer_l1_mm_worst": 0.5, "failed_frames": 0, "frames": FRAMES}
-    result |= {"train_seconds": 1.0, "storage": "float32"}
+    result |= {"train_seconds": 1.0, "storage": "float32", "settings": described(ASKED)}
     return Job(folder, ("model.width=8", "seed=1"), FINISHED, result=result)
 
 
@@ -98,10 +102,11 @@ def test_errors_are_the_mean_and_the_worst_of_the_measured_frames(trajectory: Tr
     ]
     assert pod.mean_mm == pytest.approx(np.mean(by_frame), rel=1e-6)
     assert pod.worst_mm == pytest.approx(max(by_frame), rel=1e-6)
-    worst, mean = (studies_of([pod], error)[0].points[0].error_mm for error in ("worst", "mean"))
-    assert (worst, mean) == (pod.worst_mm, pod.mean_mm)
-    with pytest.raises(ConfigurationError, match="one of mean, worst; found 'median'"):
-        studies_of([pod], "median")
+    errors = {study.name: [point.error_mm for point in study.points] for study in network_studies([pod])}
+    assert errors == {
+        "network_query": [pod.mean_mm], "network_frame": [pod.mean_mm], "network_bytes_mean": [pod.mean_mm], "network_bytes_worst": [pod.worst_mm],
+        "network_parameters": [],  # which it has none of
+    }  # fmt: skip
 
 
 def test_what_has_no_surface_keeps_its_place_with_the_reason(shapes: dict[tuple[str, str], MeasuredShape]) -> None:
@@ -109,7 +114,7 @@ def test_what_has_no_surface_keeps_its_place_with_the_reason(shapes: dict[tuple[
     assert "both sides of zero" in (coarse.failure or "")
     assert "close inside the grid" in (shapes["KNN-1", "200 samples"].failure or "")
     assert coarse.query is None
-    assert not studies_of([coarse])[0].points[0].is_measured
+    assert not network_studies([coarse])[0].points[0].is_measured
 
 
 def test_each_timing_pays_for_a_change_of_frame(trajectory: Trajectory, samples: DistanceSamples, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,16 +158,42 @@ def test_networks_of_jobs_stand_beside_the_baselines(trajectory: Trajectory, sam
     killed = Job(tmp_path / "killed", (), FAILED, "killed")
     other_mesh = replace(trained(trajectory, samples, tmp_path / "other", vertices=5), overrides=("model.width=9",))
     small = Effort(every=3, resolution=8, surface_samples=100, queries=50, repeats=1, modes=(1,), strides=(), grid_points=(), nearest_samples=())
-    candidates = network_candidates([job, lost, killed, other_mesh], trajectory, grid_of(samples, small), {})
-    good, missing, foreign = (one_of(candidates, setting) for setting in (("model.width=8",), (), ("model.width=9",)))
-    assert (good.is_default, missing.is_default) == (False, True)
-    assert good.errors_mm == (0.25, 0.5)
+    candidates = sweep_candidates([job, lost, killed, other_mesh], trajectory, grid_of(samples, small), {}, ASKED)
+    good, missing, foreign = (one_of(candidates, overrides) for overrides in (job.overrides, (), ("model.width=9",)))
     model = good.make()
     assert job.result is not None
     assert model.bytes == job.result["query_bytes"]
     unmade = measured_shapes([missing, foreign], trajectory, samples, small)
     assert "no checkpoint at" in (unmade[0].failure or "")
     assert "need a mesh of as many" in (unmade[1].failure or "")
+
+
+def test_network_of_a_sweep_is_measured_as_every_other_is(ball_family: ShapeFamily, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever its run has measured, on whatever grid and frames; also where its run found no surface."""
+    shapes, samples, networks = ball_family.trajectory, ball_family.samples, ball_networks(ball_family)
+    monkeypatch.setattr(network_study, "networks_trained_on", lambda files, path: networks)
+    small = Effort(every=99, resolution=16, surface_samples=100, queries=50, repeats=1)
+    grid = grid_of(samples, small)
+    result = networks.sizes(FRAMES) | {"chamfer_l1_mm_mean": None, "chamfer_l1_mm_worst": None, "train_seconds": 1.0, "settings": described(ASKED)}
+    of_sweep = sweep_candidates([Job(Path("run"), (), FINISHED, result=result)], shapes, grid, {}, ASKED)
+    swept, at_hand = measured_shapes([*of_sweep, network_candidate("at hand", networks, shapes, grid)], shapes, samples, small)
+    assert swept.mean_mm is not None
+    assert (swept.mean_mm, swept.worst_mm) == (at_hand.mean_mm, at_hand.worst_mm)
+    (point,) = network_studies([swept])[-1].points
+    assert point.pair == (swept.mean_mm, networks.decoder.parameter_count)
+
+
+def test_networks_of_a_sweeps_page_are_told_apart_and_trained_again_one_by_one(trajectory: Trajectory, samples: DistanceSamples, tmp_path: Path) -> None:
+    job, page = trained(trajectory, samples, tmp_path / "run"), "sweep=alternatives"
+    small = replace(job, overrides=("model=small", "seed=0", page))
+    siren = replace(job, overrides=("model=siren", "seed=0", page), result=(job.result or {}) | {"settings": described(ASKED | {"model": ModelSettings()})})
+    stored = replace(job, overrides=("model=small", "evaluation.storage=fp16", page), result=(job.result or {}) | {"storage": "fp16"})
+    candidates = sweep_candidates([small, siren, stored], trajectory, grid_of(samples, SMALL), {}, ASKED)
+    size = (job.result or {})["decoder_parameters"]
+    names = ("model=small", "model=siren", "model=small evaluation.storage=fp16")
+    assert {candidate.setting for candidate in candidates} == {f"{name}, {size:,} parameters" for name in names}
+    assert {candidate.overrides for candidate in candidates} == {(*one.overrides, "hydra.mode=RUN") for one in (small, siren, stored)}
+    assert [candidate.setting.split(",")[0] for candidate in candidates if candidate.is_default] == ["model=small"]
 
 
 def grid_of(samples: DistanceSamples, effort: Effort) -> Grid:
@@ -199,15 +230,13 @@ def test_seeds_of_a_setting_are_one_point_with_their_median_and_never_the_luckie
         return networks_trained_on(files, checkpoint)
 
     monkeypatch.setattr(network_study, "networks_trained_on", recorded)
-    (point,) = network_candidates(seeds_of(job, [0.4, 0.1, 0.2]), trajectory, grid_of(samples, SMALL), {})
-    assert point.errors_mm == (0.2, 0.4)
-    assert point.overrides == ("model.width=8",)
-    assert point.setting.endswith("parameters, median of 3 seeds (mean 0.1 to 0.4 mm)")
+    (point,) = sweep_candidates(seeds_of(job, [0.4, 0.1, 0.2]), trajectory, grid_of(samples, SMALL), {}, ASKED)
+    assert point.overrides == ("model.width=8", "seed=2")
+    assert "model.width=8, the middle one of 3 seeds (0.1 mm to 0.4 mm in their runs), " in point.setting
     point.make()
     assert [path.parents[1].name for path in asked] == ["seed_2"], "the seed in the middle is asked"
-    (lost,) = network_candidates(seeds_of(job, [0.4, None, None]), trajectory, grid_of(samples, SMALL), {})
-    with pytest.raises(ReconstructionError, match=f"no surface in 1 of {FRAMES} frames"):
-        lost.make()
+    (lost,) = sweep_candidates(seeds_of(job, [0.4, None, None]), trajectory, grid_of(samples, SMALL), {}, ASKED)
+    assert "(0.4 mm to no surface in their runs)" in lost.setting
 
 
 @pytest.mark.parametrize("storage", ["float32", "fp16", "int8"])
@@ -215,7 +244,7 @@ def test_bytes_and_errors_are_of_the_same_storage(trajectory: Trajectory, sample
     job = trained(trajectory, samples, tmp_path / "run")
     networks = load_networks(job.folder / "checkpoints" / "last.ckpt")
     stored = replace(job, result=(job.result or {}) | {"storage": storage})
-    (candidate,) = network_candidates([stored], trajectory, grid_of(samples, SMALL), {})
+    (candidate,) = sweep_candidates([stored], trajectory, grid_of(samples, SMALL), {}, ASKED)
     assert candidate.make().bytes == quantised(networks, storage).sizes(FRAMES)["query_bytes"]
 
 
@@ -231,6 +260,6 @@ def test_network_of_another_dataset_is_refused(trajectory: Trajectory, samples: 
     message = re.escape("trained on the dataset that is studied, trajectory-1.h5, distances-3.h5, found trajectory-1.h5, distances-2.h5; choose the dataset")
     with pytest.raises(ConfigurationError, match=message):
         networks_trained_on(other, checkpoint)
-    (candidate,) = network_candidates([job], trajectory, grid_of(samples, SMALL), other)
+    (candidate,) = sweep_candidates([job], trajectory, grid_of(samples, SMALL), other, ASKED)
     (shape,) = measured_shapes([candidate], trajectory, samples, SMALL)
     assert "found trajectory-1.h5, distances-2.h5" in (shape.failure or "")

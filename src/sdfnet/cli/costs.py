@@ -19,14 +19,14 @@ from sdfnet.cost.distance_study import distance_study
 from sdfnet.cost.findings import STUDIES_OF_THE_WHOLE, Whole, cheapest_whole, unmeasured
 from sdfnet.cost.network_study import QUICK as QUICK_EFFORT
 from sdfnet.cost.network_study import (
+    Candidate,
     Effort,
     baseline_candidates,
-    bytes_study,
     measured_shapes,
-    network_candidates,
+    network_candidate,
+    network_studies,
     networks_trained_on,
-    studies_of,
-    trained_candidate,
+    sweep_candidates,
 )
 from sdfnet.cost.query_study import query_study
 from sdfnet.cost.reconstruction_study import reconstruction_study
@@ -71,7 +71,7 @@ class Bench:
         """The network that is asked and reconstructed: of `checkpoint`, else the default that the training study made."""
         if self._given is not None:
             return self._given
-        own = [one.networks for one in self.trained if not any(override.startswith("model.") for override in one.point.overrides)]
+        own = [one.networks for one in self.trained if one.point.is_default]
         if not own:
             raise ConfigurationError("this study needs a network, found that no training of the default one went well; give checkpoint=...")
         return own[-1]
@@ -104,15 +104,29 @@ class Bench:
         return [study]
 
     def network(self) -> list[Study]:
-        """Networks beside other ways to keep the shapes."""
-        trajectory, samples, sweep = self.family.trajectory, self.family.samples, self.settings.sweep_folder
+        """Networks beside other ways to keep the shapes. Raises ConfigurationError when there is no network."""
+        trajectory, samples = self.family.trajectory, self.family.samples
         effort = QUICK_EFFORT if self.settings.quick else Effort()
         grid = Grid(samples.box.lower, samples.box.upper, effort.resolution)
-        candidates = [trained_candidate(one.networks, one.point, trajectory, grid) for one in self.trained]
-        candidates += [] if sweep is None else network_candidates(read_jobs(Path(sweep)), trajectory, grid, self.family.file_names)
-        candidates += baseline_candidates(trajectory, samples, grid, effort)
-        shapes = measured_shapes(candidates, trajectory, samples, effort)
-        return [*studies_of(shapes), bytes_study(shapes, "mean"), bytes_study(shapes, "worst")]
+        networks = self.network_candidates(grid)
+        if not networks:
+            raise ConfigurationError("this study needs a network, found that no training went well and no job of a sweep finished; give checkpoint=...")
+        candidates = [*networks, *baseline_candidates(trajectory, samples, grid, effort)]
+        return network_studies(measured_shapes(candidates, trajectory, samples, effort))
+
+    def network_candidates(self, grid: Grid) -> list[Candidate]:
+        """The networks of the training study, of `checkpoint` and of `sweep_folder`."""
+        asked, trajectory = self.settings, self.family.trajectory
+        candidates = [
+            network_candidate(f"{one.point.method}, {one.point.setting}", one.networks, trajectory, grid, one.point.is_default, one.point.overrides)
+            for one in self.trained
+        ]
+        if self._given is not None:
+            candidates.append(network_candidate("the checkpoint", self._given, trajectory, grid))
+        if asked.sweep_folder is not None:
+            as_default = {"model": asked.model, "batch": asked.batch, "optimizer": asked.optimizer, "training": asked.training, "split": "all"}
+            candidates += sweep_candidates(read_jobs(Path(asked.sweep_folder)), trajectory, grid, self.family.file_names, as_default)
+        return candidates
 
     def queries(self) -> list[Study]:
         """Seconds of a query in batches."""

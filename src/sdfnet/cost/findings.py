@@ -71,7 +71,7 @@ def findings_of(study: Study) -> list[str]:
     failed = [point.failure for point in study.points if point.failure is not None]
     if not front:
         return [f"Nothing could be measured: {'; '.join(sorted(set(failed))) or 'there is the reference alone'}."]
-    cost, cheapest_is = ("bytes", "Smallest") if front[0].seconds is None else ("time", "Quickest")
+    cost, cheapest_is = ("size", "Smallest") if front[0].seconds is None else ("time", "Quickest")
     sentences = [f"Most accurate: {front[0].words()}."]
     if len(front) > 1:
         sentences.append(f"{cheapest_is}: {front[-1].words()}.")

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -14,9 +14,9 @@ from torch import Tensor
 from sdfnet.cost.field_baselines import GridField, NearestSampleField, NetworkField, ShapeModel, marched_on_whole_grid, marched_where_it_may_be
 from sdfnet.cost.shape_baselines import DeformedMesh, KeptFrames, PodMotion
 from sdfnet.cost.studies import Point, Study, Timing, interleaved
-from sdfnet.cost.sweep_table import Job, Row, Target, rows_of
-from sdfnet.data.store import DistanceSamples
-from sdfnet.errors import ConfigurationError, ReconstructionError, SdfnetError
+from sdfnet.cost.sweep_table import Job, Row, Target, overrides_alone, rows_of, shared_overrides, short_setting
+from sdfnet.data.store import DistanceSamples, described
+from sdfnet.errors import ConfigurationError, SdfnetError
 from sdfnet.evaluation.metrics import SurfaceErrors, aggregate, surface_errors
 from sdfnet.evaluation.reconstruct import Grid
 from sdfnet.geometry.distance import SurfaceDistance
@@ -26,7 +26,7 @@ from sdfnet.physics.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
 
-ERRORS = {"mean": "mean over frames", "worst": "worst frame"}  # over the measured frames
+PARAMETERS = "decoder parameters"
 ALL_SAMPLES = 0  # stands for every sample that a frame keeps in a series of KNN-1
 BY_MEAN = Target(chamfer_l1_mm=1.0, frames="mean")  # rows take the seed in the middle by a target's frames; whether it is reached is not asked about here
 
@@ -56,7 +56,7 @@ class Candidate:
     method: str
     setting: str
     make: Callable[[], ShapeModel]  # may raise SdfnetError: the reason why it cannot be measured
-    errors_mm: tuple[float, float] | None = None  # mean and worst frame, where a run has measured them already
+    counts: Mapping[str, int] = field(default_factory=dict)  # of a network: its parameters
     is_default: bool = False
     overrides: tuple[str, ...] = ()
 
@@ -73,58 +73,44 @@ class MeasuredShape:
     frame: Timing | None = None  # of the surface of another frame
     failure: str | None = None
 
-    def point(self, error: str, seconds: Timing | None) -> Point:
+    def point(self, error_mm: float | None, seconds: Timing | None = None) -> Point:
         """The point of a diagram, with the mean or the worst error."""
-        error_mm = self.mean_mm if error == "mean" else self.worst_mm
         chosen = self.candidate
-        return Point(
-            chosen.method, chosen.setting, error_mm, seconds, bytes=self.bytes, is_default=chosen.is_default, overrides=chosen.overrides, failure=self.failure
-        )
+        return Point(chosen.method, chosen.setting, error_mm, seconds, chosen.counts, self.bytes, chosen.is_default, chosen.overrides, self.failure)
 
 
-def studies_of(shapes: Sequence[MeasuredShape], error: str = "mean") -> tuple[Study, Study]:
-    """Error against the time of a query, and against the time of a frame; `error` is the mean over the frames or the worst one.
+def network_studies(shapes: Sequence[MeasuredShape]) -> list[Study]:
+    """Error against the time of a query, the time of a frame, the bytes that answer for every frame and, of the networks, the parameters of the decoder."""
+    mean, worst, kept = "chamfer L1, mean over frames (mm)", "chamfer L1, worst frame (mm)", "to answer for every frame (bytes)"
+    by_mean = [shape.point(shape.mean_mm) for shape in shapes]
+    by_worst = [shape.point(shape.worst_mm) for shape in shapes]
+    queries = [shape.point(shape.mean_mm, shape.query) for shape in shapes]
+    frames = [shape.point(shape.mean_mm, shape.frame) for shape in shapes]
+    networks = [replace(point, bytes=None) for point in by_mean if PARAMETERS in point.counts]
+    return [
+        Study("network_query", "network", "Answering a query", mean, "one of many queries, change of frame included (s)", tuple(queries)),
+        Study("network_frame", "network", "Reconstructing a frame", mean, "the surface of one frame (s)", tuple(frames)),
+        Study("network_bytes_mean", "network", "Keeping the shapes, mean over frames", mean, kept, tuple(by_mean)),
+        Study("network_bytes_worst", "network", "Keeping the shapes, worst frame", worst, kept, tuple(by_worst)),
+        Study("network_parameters", "network", "The size of a network", mean, PARAMETERS, tuple(networks)),
+    ]
 
-    Raises ConfigurationError for another error.
+
+def network_candidate(
+    name: str, networks: Networks, trajectory: Trajectory, grid: Grid, is_default: bool = False, overrides: tuple[str, ...] = ()
+) -> Candidate:
+    """A network at hand."""
+    return _network_candidate(name, networks.decoder.parameter_count, lambda: networks, trajectory, grid, is_default, overrides)
+
+
+def sweep_candidates(jobs: Sequence[Job], trajectory: Trajectory, grid: Grid, files: Mapping[str, str], asked: Mapping[str, object]) -> list[Candidate]:
+    """A network for each setting of finished jobs: that of the seed in the middle by the errors of the runs, stored as its run stored it.
+
+    The default is the setting that was trained as `asked`, parts of train.py's settings by their names. `files` are those
+    of the shapes at hand, as `networks_trained_on` wants them.
     """
-    if error not in ERRORS:
-        raise ConfigurationError(f"the error of a network study must be one of {', '.join(ERRORS)}; found '{error}'")
-    label = f"chamfer L1, {ERRORS[error]} (mm)"
-    queries = Study(
-        "network_query", "network", "Answering a query", label, "one of many queries, change of frame included (s)",
-        tuple(shape.point(error, shape.query) for shape in shapes),
-    )  # fmt: skip
-    frames = Study(
-        "network_frame", "network", "Reconstructing a frame", label, "the surface of one frame (s)", tuple(shape.point(error, shape.frame) for shape in shapes)
-    )
-    return queries, frames
-
-
-def bytes_study(shapes: Sequence[MeasuredShape], error: str = "mean") -> Study:
-    """Error against the bytes that must be kept to answer for every frame; `error` as in `studies_of`."""
-    points = tuple(shape.point(error, None) for shape in shapes)
-    label = f"chamfer L1, {ERRORS[error]} (mm)"
-    return Study(f"network_bytes_{error}", "network", f"Keeping the shapes, {ERRORS[error]}", label, "to answer for every frame (bytes)", points)
-
-
-def trained_candidate(networks: Networks, point: Point, trajectory: Trajectory, grid: Grid) -> Candidate:
-    """A network at hand, named by the point of the study that trained it."""
-
-    def make() -> ShapeModel:
-        return marched_where_it_may_be(NetworkField(networks, trajectory.surface_vertices), grid)
-
-    setting = f"{networks.decoder.parameter_count:,} parameters, {point.setting}"
-    return Candidate("network", setting, make, None, point.is_default, point.overrides)
-
-
-def network_candidates(jobs: Sequence[Job], trajectory: Trajectory, grid: Grid, files: Mapping[str, str]) -> list[Candidate]:
-    """A network for each setting of finished jobs, with the median errors of its seeds over all frames of their runs.
-
-    The seed whose mean error is the middle one is asked and reconstructed, stored as its run stored it. The setting
-    without overrides is the default. `files` are those of the shapes at hand, as `networks_trained_on` wants them.
-    """
-    finished = [job for job in jobs if job.result is not None]
-    return [_network_candidate(row, finished, trajectory, grid, files) for row in rows_of(finished, BY_MEAN)]
+    finished, shared = [job for job in jobs if job.result is not None], shared_overrides(jobs)
+    return [_sweep_candidate(row, short_setting(row.setting, shared), finished, trajectory, grid, files, asked) for row in rows_of(finished, BY_MEAN)]
 
 
 def networks_trained_on(files: Mapping[str, str], checkpoint: Path) -> Networks:
@@ -173,7 +159,7 @@ def measured_shapes(candidates: Sequence[Candidate], trajectory: Trajectory, sam
     for place, candidate in enumerate(candidates):
         try:
             model = candidate.make()
-            errors = candidate.errors_mm or _errors(model, trajectory, frames, truth, effort.surface_samples)
+            errors = _errors(model, trajectory, frames, truth, effort.surface_samples)
         except SdfnetError as error:
             logger.info("%s, %s: %s", candidate.method, candidate.setting, error)
             found.append(MeasuredShape(candidate, failure=str(error)))
@@ -195,21 +181,32 @@ def inner_frames(count: int, every: int, cases: int = 1) -> list[int]:
     return [frame for frame in range(every // 2, count, every) if 0 < frame % length < length - 1] or [count - 1]
 
 
-def _network_candidate(row: Row, jobs: Sequence[Job], trajectory: Trajectory, grid: Grid, files: Mapping[str, str]) -> Candidate:
-    middle = next(job for job in jobs if job.overrides == row.overrides)
+def _network_candidate(
+    name: str, parameters: int, networks: Callable[[], Networks], trajectory: Trajectory, grid: Grid, is_default: bool, overrides: tuple[str, ...]
+) -> Candidate:
+    """A network that is loaded when it is measured."""
 
     def make() -> ShapeModel:
-        result = middle.result or {}
-        if not math.isfinite(row.chamfer_l1_mm_worst):
-            raise ReconstructionError(f"no surface in {result['failed_frames']} of {result['frames']} frames; train it longer, or a larger one")
-        storage = result.get("storage", "float32")  # of a run from before there was a choice
-        networks = quantised(networks_trained_on(files, middle.folder / "checkpoints" / "last.ckpt"), storage)
-        return marched_where_it_may_be(NetworkField(networks, trajectory.surface_vertices), grid)
+        return marched_where_it_may_be(NetworkField(networks(), trajectory.surface_vertices), grid)
 
-    low, high = row.chamfer_l1_mm_mean_range
-    seeds = f", median of {row.seeds} seeds (mean {low:.3g} to {high:.3g} mm)" if row.seeds > 1 else ""
-    errors = (row.chamfer_l1_mm_mean, row.chamfer_l1_mm_worst)
-    return Candidate("network", f"{row.decoder_parameters:,} parameters{seeds}", make, errors, not row.setting, row.setting)
+    return Candidate("network", f"{name}, {parameters:,} parameters", make, {PARAMETERS: parameters}, is_default, overrides)
+
+
+def _sweep_candidate(
+    row: Row, name: str, jobs: Sequence[Job], trajectory: Trajectory, grid: Grid, files: Mapping[str, str], asked: Mapping[str, object]
+) -> Candidate:
+    middle = next(job for job in jobs if job.overrides == row.overrides)
+    result = middle.result or {}
+    storage = result.get("storage", "float32")  # of a run from before there was a choice
+
+    def networks() -> Networks:
+        return quantised(networks_trained_on(files, middle.folder / "checkpoints" / "last.ckpt"), storage)
+
+    if row.seeds > 1:
+        low, high = (f"{error:.3g} mm" if math.isfinite(error) else "no surface" for error in row.chamfer_l1_mm_mean_range)
+        name += f", the middle one of {row.seeds} seeds ({low} to {high} in their runs)"
+    is_default = storage == "float32" and all(result["settings"][part] == described(wanted) for part, wanted in asked.items())
+    return _network_candidate(name, row.decoder_parameters, networks, trajectory, grid, is_default, overrides_alone(row.overrides))
 
 
 def _errors(model: ShapeModel, trajectory: Trajectory, frames: Sequence[int], truth: SurfaceDistance, samples: int) -> tuple[float, float]:

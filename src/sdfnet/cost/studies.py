@@ -50,9 +50,10 @@ class Point:
     def pair(self) -> tuple[float, float]:
         """Error (mm) and cost for logarithmic axes, no error as EXACT_MM; nan of a point that failed.
 
-        The cost is the median of the seconds; of a point without a time, which is only about keeping, the bytes.
+        The cost is the median of the seconds; of a point without a time, which is about size, the bytes, or without these the first count.
         """
-        cost = self.bytes if self.seconds is None else self.seconds.median
+        size = next(iter(self.counts.values()), None) if self.bytes is None else self.bytes
+        cost = size if self.seconds is None else self.seconds.median
         if self.failure is not None or self.error_mm is None or cost is None:
             return math.nan, math.nan
         return max(self.error_mm, EXACT_MM), float(cost)
@@ -65,7 +66,8 @@ class Point:
     def words(self) -> str:
         """Method, setting, error and cost of a measured point."""
         error, cost = self.pair
-        return f"{self.method}, {self.setting} ({error:.3g} mm, {duration_text(cost) if self.seconds is not None else size_text(cost)})"
+        size = f"{cost:,.0f} {next(iter(self.counts), '')}" if self.bytes is None else size_text(cost)
+        return f"{self.method}, {self.setting} ({error:.3g} mm, {size if self.seconds is None else duration_text(cost)})"
 
 
 @dataclass(frozen=True)

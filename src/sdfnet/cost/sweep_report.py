@@ -11,14 +11,25 @@ from rich.table import Table
 from rich.text import Text
 
 from sdfnet.cost.frontier import pareto_front
-from sdfnet.cost.sweep_table import JOB_COLUMNS, NOT_STARTED, Job, Target, knee_of, rows_of, smallest_within
+from sdfnet.cost.sweep_table import (
+    JOB_COLUMNS,
+    NOT_STARTED,
+    Job,
+    Target,
+    knee_of,
+    overrides_alone,
+    rows_of,
+    shared_overrides,
+    short_setting,
+    smallest_within,
+)
 from sdfnet.data.store import write_json, written_whole
 
 
 def table_of(jobs: Sequence[Job], target: Target) -> Table:
     """The sweep as a table: a row for every setting of which a job finished."""
     rows = rows_of(jobs, target)
-    shared = _shared(jobs)
+    shared = shared_overrides(jobs)
     front = pareto_front([(getattr(row, target.metric), float(row.decoder_parameters)) for row in rows])
     smallest, bend = smallest_within(rows), knee_of(rows, target)
     table = Table(
@@ -32,7 +43,7 @@ def table_of(jobs: Sequence[Job], target: Target) -> Table:
         table.add_column(heading, justify="right")
     for place, row in enumerate(rows):
         notes = [word for word, holds in (("smallest", row is smallest), ("knee", row is bend), ("front", place in front)) if holds]
-        setting = _short(row.setting, shared) + (f"  <- {', '.join(notes)}" if notes else "")
+        setting = short_setting(row.setting, shared) + (f"  <- {', '.join(notes)}" if notes else "")
         table.add_row(
             Text(setting),  # and not markup: lists stand in brackets
             f"{row.decoder_parameters:,}",
@@ -71,13 +82,15 @@ def sentences_of(jobs: Sequence[Job], target: Target) -> list[str]:
     several = sorted(one for one in versions if sum(other.split()[0] == one.split()[0] for other in versions) > 1)
     if several:
         sentences.append(f"The jobs ran with different versions, and may differ for that alone: {', '.join(several)}.")
-    shared = _shared(jobs)
-    return [f"{job.status}: {_short(job.overrides, shared)}: {job.reason}" for job in jobs if job.result is None and job.status != NOT_STARTED] + sentences
+    shared = shared_overrides(jobs)
+    return [
+        f"{job.status}: {short_setting(job.overrides, shared)}: {job.reason}" for job in jobs if job.result is None and job.status != NOT_STARTED
+    ] + sentences
 
 
 def command_of(overrides: Sequence[str]) -> str:
-    """The command line that trains a job alone, also where its overrides name a page that makes a sweep of every command."""
-    return shlex.join(["python", "train.py", *overrides, *(["hydra.mode=RUN"] if any(one.startswith("sweep=") for one in overrides) else [])])
+    """The command line that trains a job alone."""
+    return shlex.join(["python", "train.py", *overrides_alone(overrides)])
 
 
 def write_tables(sweep_folder: Path, jobs: Sequence[Job], target: Target) -> None:
@@ -97,15 +110,6 @@ def write_tables(sweep_folder: Path, jobs: Sequence[Job], target: Target) -> Non
         "knee": None if bend is None else command_of(bend.overrides),
     }
     write_json(sweep_folder / "sweep.json", contents)
-
-
-def _shared(jobs: Sequence[Job]) -> set[str]:
-    """The overrides that every job has, and that need not be said of each."""
-    return set.intersection(*[set(job.setting) for job in jobs]) if len({job.setting for job in jobs}) > 1 else set()
-
-
-def _short(overrides: Sequence[str], shared: set[str]) -> str:
-    return " ".join(override for override in overrides if override not in shared) or "(as it comes)"
 
 
 def _spread(median: float, around: tuple[float, float]) -> str:

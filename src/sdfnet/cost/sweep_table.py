@@ -145,6 +145,21 @@ def rows_of(jobs: Sequence[Job], target: Target) -> list[Row]:
     return sorted(rows, key=lambda row: (row.decoder_parameters, row.chamfer_l1_mm_mean))
 
 
+def shared_overrides(jobs: Sequence[Job]) -> set[str]:
+    """The overrides that every job has, and that need not be said of each."""
+    return set.intersection(*[set(job.setting) for job in jobs]) if len({job.setting for job in jobs}) > 1 else set()
+
+
+def short_setting(overrides: Sequence[str], shared: set[str]) -> str:
+    """The overrides that not every job has, for a table or a sentence."""
+    return " ".join(override for override in overrides if override not in shared) or "(as it comes)"
+
+
+def overrides_alone(overrides: Sequence[str]) -> tuple[str, ...]:
+    """The overrides that train a job alone, also where they name a page that makes a sweep of every command."""
+    return (*overrides, *(["hydra.mode=RUN"] if any(one.startswith("sweep=") for one in overrides) else []))
+
+
 def smallest_settled(jobs: Sequence[Job], target: Target) -> Row | None:
     """The smallest row within the target of which every seed has finished: one lucky seed settles nothing."""
     unsettled = {job.setting for job in jobs if job.result is None}
