@@ -2,10 +2,12 @@
 
 import csv
 import json
+import re
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -14,16 +16,22 @@ from hydra.core.global_hydra import GlobalHydra
 from sdfnet.cli import costs
 from sdfnet.cli.costs import Bench
 from sdfnet.cli.entry import register
-from sdfnet.cli.settings import STUDIES
+from sdfnet.cli.settings import STUDIES, CostSettings, TrainSettings
 from sdfnet.cost.findings import STUDIES_OF_THE_WHOLE
+from sdfnet.cost.network_study import Candidate, MeasuredShape
 from sdfnet.cost.studies import Point, Study, Timing
-from sdfnet.errors import PhysicsError
+from sdfnet.cost.sweep_table import FINISHED, JOB_FILE, RESULT_FILE
+from sdfnet.cost.training_study import Trained
+from sdfnet.data.store import described
+from sdfnet.errors import ConfigurationError, PhysicsError
 from sdfnet.geometry.tetmesh import TetMesh
-from sdfnet.models.networks import RECORD
+from sdfnet.models.networks import RECORD, Networks
+from sdfnet.models.settings import ModelSettings
 from sdfnet.physics.plan import plan
 from sdfnet.plugins import frozen
 from sdfnet.scene import Scene
 from tests.composition import composed
+from tests.runs.resumable_run import BALL
 
 SMALL = (
     "dataset=sphere_squeeze", "dataset.scene.geometry.cells=4", "dataset.sampling.count=4000", "dataset.sampling.near_surface_count=4000",
@@ -174,6 +182,81 @@ def test_what_cannot_be_studied_is_refused_at_once(command: Command, capfd: pyte
         command("cost", *SMALL, *words)
     assert message in capfd.readouterr().err
     assert not Path("outputs/data").exists(), "nothing was prepared"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            {"studies": ("distances", "network")},
+            "studies=network needs a network, found none; add training to studies, or give checkpoint=... or sweep_folder=",
+        ),
+        ({"studies": ("training", "queries"), "sweep_folder": "."}, "sweep_folder is read by studies=network, found training, queries; add network to studies"),
+    ],
+)
+def test_network_study_without_a_network_and_sweep_without_the_study_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(message)):
+        CostSettings(dataset=BALL, dataset_name="ball", **settings)
+
+
+def bench_of(data: Path, **settings: Any) -> Bench:
+    """The bench of the ball."""
+    return Bench(CostSettings(dataset=BALL, dataset_name="ball", data_folder=str(data), quick=True, **settings))
+
+
+def trained(setting: str, *overrides: str) -> Trained:
+    """A small network of the training study; without overrides the default."""
+    model = ModelSettings(width=8, depth=1, latent=2, encoder_width=4, encoder_depth=1)
+    return Trained(
+        Networks(model, torch.zeros(2, 4, 3), torch.zeros(3), torch.ones(3)), Point("width 8", setting, is_default=not overrides, overrides=overrides)
+    )
+
+
+def sweep_of_one(folder: Path) -> Path:
+    """A sweep with one finished job, which trained as the commands do when nothing is said."""
+    result = {"decoder_parameters": 99, "query_bytes": 400, "chamfer_l1_mm_mean": 0.1, "chamfer_l1_mm_worst": 0.2, "train_seconds": 1.0}
+    job = folder / "seed=1"
+    job.mkdir(parents=True)
+    (job / JOB_FILE).write_text(json.dumps({"overrides": ["seed=1"], "configuration": "x", "status": FINISHED, "reason": ""}))
+    (job / RESULT_FILE).write_text(json.dumps({**result, "settings": described(TrainSettings(dataset=BALL))}))
+    return folder
+
+
+@pytest.mark.parametrize("given", ["training", "checkpoint", "sweep_folder"])
+def test_networks_of_training_checkpoint_and_sweep_stand_beside_the_baselines(given: str, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checkpoint, sweep, arrived = tmp_path / "last.ckpt", sweep_of_one(tmp_path / "sweep"), list[Candidate]()
+    checkpoint.touch()
+
+    def recorded(candidates: list[Candidate], *rest: object) -> list[MeasuredShape]:
+        arrived.extend(candidates)
+        return []
+
+    monkeypatch.setattr(costs, "measured_shapes", recorded)
+    monkeypatch.setattr(costs, "networks_trained_on", lambda files, path: trained("given").networks)
+    settings = {"training": {"studies": ("training", "network")}, "checkpoint": {"checkpoint": str(checkpoint)}, "sweep_folder": {"sweep_folder": str(sweep)}}
+    bench = bench_of(data, **{"studies": ("network",), **settings[given]})
+    bench.trained = [trained("20 s", "training.seconds=20"), trained("1 epochs")] if given == "training" else []
+    bench.network()
+    count = f"{trained('').networks.decoder.parameter_count:,} parameters"
+    expected = {
+        "training": [(f"width 8, 20 s, {count}", False), (f"width 8, 1 epochs, {count}", True)],
+        "checkpoint": [(f"the checkpoint, {count}", False)],
+        "sweep_folder": [("(as it comes), 99 parameters", True)],
+    }
+    assert [(one.setting, one.is_default) for one in arrived if one.method == "network"] == expected[given]
+    assert any(one.method != "network" for one in arrived)
+
+
+def test_default_network_is_never_replaced_by_a_shorter_training(data: Path) -> None:
+    bench = bench_of(data)
+    with pytest.raises(ConfigurationError, match="found that no training went well and no job of a sweep finished"):
+        bench.network()
+    default, short = trained("1 epochs"), trained("60 s", "training.seconds=60")
+    bench.trained = [default, short]
+    assert bench.networks is default.networks
+    bench.trained = [short]
+    with pytest.raises(ConfigurationError, match="no training of the default one went well; give checkpoint="):
+        _ = bench.networks
 
 
 def test_every_study_of_the_settings_is_one_that_can_be_made() -> None:

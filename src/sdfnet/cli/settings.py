@@ -118,8 +118,8 @@ class CostSettings:
     studies: tuple[str, ...] = STUDIES
     quick: bool = False  # fewer points of each study
     motion_share: float | None = None  # of the scene's duration that simulation_time runs; none: a third, or a fifth when quick
-    checkpoint: str | None = None  # the network that is asked and reconstructed; none: the default that the training study makes
-    sweep_folder: str | None = None  # the folder of a sweep whose networks enter the network study; none: those of the training study alone
+    checkpoint: str | None = None  # the network that is asked and reconstructed, and one more of the network study; none: the default that training makes
+    sweep_folder: str | None = None  # the folder of a sweep whose networks enter the network study too
     wanted_mm: tuple[float, ...] = (1.0, 0.3, 0.1)  # accuracies for which the cheapest run is named
     data_folder: str = "outputs/data"
 
@@ -131,12 +131,17 @@ class CostSettings:
             raise ConfigurationError(f"motion_share must lie in (0, 1], found {self.motion_share}")
         if self.sweep_folder is not None and not Path(self.sweep_folder).is_dir():
             raise ConfigurationError(f"sweep_folder must be there, found nothing at '{self.sweep_folder}'; give the folder that the sweep printed")
+        if self.sweep_folder is not None and "network" not in self.studies:
+            raise ConfigurationError(f"sweep_folder is read by studies=network, found {', '.join(self.studies)}; add network to studies, or leave it out")
         if self.checkpoint is not None and not Path(self.checkpoint).is_file():
             found = "a folder" if Path(self.checkpoint).is_dir() else "nothing"
             raise ConfigurationError(f"checkpoint must be a file, found {found} at '{self.checkpoint}'; give checkpoint=outputs/.../checkpoints/last.ckpt")
+        has_network = self.checkpoint is not None or "training" in self.studies
         needing = [name for name in ("queries", "reconstruction") if name in self.studies]
-        if needing and self.checkpoint is None and "training" not in self.studies:
+        if needing and not has_network:
             raise ConfigurationError(f"studies={needing[0]} needs a network, found none; add training to studies, or give checkpoint=...")
+        if "network" in self.studies and not has_network and self.sweep_folder is None:
+            raise ConfigurationError("studies=network needs a network, found none; add training to studies, or give checkpoint=... or sweep_folder=...")
         if self.precision not in PRECISIONS:
             raise ConfigurationError(f"precision must be one of {', '.join(PRECISIONS)}; found '{self.precision}'")
         if any(not wanted > 0 for wanted in self.wanted_mm):
