@@ -233,7 +233,11 @@ def test_networks_of_training_checkpoint_and_sweep_stand_beside_the_baselines(gi
 
     monkeypatch.setattr(costs, "measured_shapes", recorded)
     monkeypatch.setattr(costs, "networks_trained_on", lambda files, path: trained("given").networks)
-    settings = {"training": {"studies": ("training", "network")}, "checkpoint": {"checkpoint": str(checkpoint)}, "sweep_folder": {"sweep_folder": str(sweep)}}
+    settings: dict[str, dict[str, Any]] = {
+        "training": {"studies": ("training", "network")},
+        "checkpoint": {"checkpoint": str(checkpoint)},
+        "sweep_folder": {"sweep_folder": str(sweep)},
+    }
     bench = bench_of(data, **{"studies": ("network",), **settings[given]})
     bench.trained = [trained("20 s", "training.seconds=20"), trained("1 epochs")] if given == "training" else []
     bench.network()
