@@ -13,7 +13,8 @@ from rich.table import Table
 from sdfnet.cli.muted import muted
 from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import ALL_CASES, VerifySettings
-from sdfnet.data.store import finite, versions, write_json, written_whole
+from sdfnet.data.store import finite, write_json, written_whole
+from sdfnet.data.versions import versions
 from sdfnet.errors import PhysicsError, SdfnetError
 from sdfnet.verification import CASES, Row, rows_of
 

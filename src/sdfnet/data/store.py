@@ -5,7 +5,6 @@ versions, seconds) as attributes. Files are written beside their place and moved
 """
 
 import errno
-import importlib.metadata
 import inspect
 import json
 import math
@@ -26,6 +25,7 @@ from jaxtyping import Float32, Float64, Int32
 
 from sdfnet.data.patient_file import PatientFile
 from sdfnet.data.sampling import SamplingBox
+from sdfnet.data.versions import versions
 from sdfnet.data.xdmf import show_frame, xdmf
 from sdfnet.declared import as_found
 from sdfnet.errors import ConfigurationError, GeometryError, StoreError
@@ -33,7 +33,6 @@ from sdfnet.geometry.tetmesh import TetMesh
 from sdfnet.physics.trajectory import FrameChecks, Trajectory
 
 FORMAT_VERSION = 2  # raised when the meaning of a file changes; part of every name
-RECORDED_PACKAGES = ("sdfnet", "torch", "lightning", "pytorch_optimizer", "hydra-core", "numpy", "scikit-fem", "pytetwild", "warp-lang", "vtk", "h5py")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +73,6 @@ def _no_setting(value: Any) -> None:
         f"files are named by settings, which are numbers, texts, tuples and dataclasses, found {as_found(value, type(value))}; "
         "derive an effect or region of your own whose fields are numbers, or stay in memory with sdfnet.physics.simulate.simulate"
     )
-
-
-def versions() -> dict[str, str]:
-    """The versions of the packages that results depend on."""
-    return {name: importlib.metadata.version(name) for name in RECORDED_PACKAGES}
 
 
 @contextmanager

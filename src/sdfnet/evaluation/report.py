@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from rich.table import Table
 
-from sdfnet.data.store import versions, write_json, written_whole
+from sdfnet.data.store import write_json, written_whole
+from sdfnet.data.versions import versions
 from sdfnet.evaluation.evaluate import METHODS, PREFIX, Evaluation
 from sdfnet.evaluation.figures import Panel, figure5
 from sdfnet.evaluation.metrics import vertex_errors
