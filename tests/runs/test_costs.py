@@ -69,6 +69,7 @@ def test_asked_studies_make_one_page_with_their_tables(command: Command, monkeyp
     found = json.loads((folder / "cost.json").read_text())
     assert [study["name"] for study in found["studies"]] == ["simulation_time", "distances"]
     assert found["made_with"]["threads"] >= 1
+    assert {"processor", "cores", "python", "torch"} <= set(found["made_with"])
     said = capfd.readouterr().out
     assert "What the time step costs" in said
     assert "No cheapest run is named, because these were not measured: training, reconstruction." in said

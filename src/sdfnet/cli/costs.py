@@ -17,6 +17,7 @@ from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import STUDIES, CostSettings, TrainSettings
 from sdfnet.cost.distance_study import distance_study
 from sdfnet.cost.findings import STUDIES_OF_THE_WHOLE, Whole, cheapest_whole, unmeasured
+from sdfnet.cost.machine import machine
 from sdfnet.cost.network_study import QUICK as QUICK_EFFORT
 from sdfnet.cost.network_study import (
     Candidate,
@@ -28,7 +29,7 @@ from sdfnet.cost.network_study import (
     networks_trained_on,
     sweep_candidates,
 )
-from sdfnet.cost.query_study import query_study
+from sdfnet.cost.query_study import query_studies
 from sdfnet.cost.reconstruction_study import reconstruction_study
 from sdfnet.cost.report import text_of, write_report
 from sdfnet.cost.simulation_study import simulation_time_study
@@ -39,7 +40,8 @@ from sdfnet.cost.sweep_table import read_jobs
 from sdfnet.cost.throughput import Throughput, measured_throughput
 from sdfnet.cost.training_study import FULL, QUICK, Trained, training_study
 from sdfnet.data.datamodule import ShapeFamily
-from sdfnet.data.store import described, versions, write_json
+from sdfnet.data.store import described, write_json
+from sdfnet.data.versions import versions
 from sdfnet.errors import ConfigurationError, SdfnetError
 from sdfnet.evaluation.reconstruct import Grid
 from sdfnet.models.networks import Networks
@@ -130,7 +132,7 @@ class Bench:
 
     def queries(self) -> list[Study]:
         """Seconds of a query in batches."""
-        return [query_study(self.networks, self.family.trajectory, self.family.samples, quick=self.settings.quick)]
+        return query_studies(self.networks, self.family.trajectory, self.family.samples, quick=self.settings.quick)
 
     def reconstruction(self) -> list[Study]:
         """Error of the grid against seconds of a frame."""
@@ -184,6 +186,7 @@ def _write(bench: Bench, output: Path, found: Sequence[Study], summary: Sequence
         "seconds by study": ", ".join(f"{name} {value:.0f}" for name, value in seconds.items()),
         "threads": torch.get_num_threads(),
         "load of the machine before and after": f"{load_before:.2f}, {os.getloadavg()[0]:.2f}",
+        **machine(),
         **versions(),
     }
     subtitle = f"{len(shapes.times)} frames of {len(shapes.mesh.nodes):,} nodes, D = {1e3 * shapes.mesh.diagonal:.1f} mm; {sum(seconds.values()):.0f} s in all"

@@ -1,8 +1,6 @@
 """What one query costs in batches of one, a thousand and a million: a network beside the exact query on the deformed mesh and KNN-1."""
 
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -12,9 +10,9 @@ from torch import Tensor
 
 from sdfnet.cost.distance_study import exact_distances, package
 from sdfnet.cost.field_baselines import NearestSampleField, NetworkField
-from sdfnet.cost.studies import Point, Study, Timing, interleaved
+from sdfnet.cost.machine import available_cores, on_cores
+from sdfnet.cost.studies import Point, Study, Timing, duration_text, interleaved
 from sdfnet.data.store import DistanceSamples
-from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.metrics import MILLIMETRES
 from sdfnet.geometry.distance import SurfaceDistance
 from sdfnet.geometry.surface import Surface
@@ -23,84 +21,62 @@ from sdfnet.physics.trajectory import Trajectory
 
 BATCHES = (1, 1_000, 1_000_000)
 CORES = (1, 2)
-MOST_CALLS = 200  # of small batches in one timing, so that the clock and a cold cache do not count
+MOST_CALLS, MOST_SMALL_QUERIES = 200, 20_000  # in one timing of small batches, so that the clock and a cold cache do not count
 REPEATS = 5
-REFERENCE = "libigl, mesh"
+LIBIGL = "libigl, mesh"
+REBUILT_LIBIGL = "libigl, mesh, tree built for each batch"  # which takes tens of milliseconds: asked of no single point
 ERROR_POINTS = 20_000  # near the surface, for the error of an answer
 Answer = Callable[[Float32[Tensor, "points 3"]], Float32[Tensor, " points"]]
 
 
-def query_study(networks: Networks, trajectory: Trajectory, samples: DistanceSamples, frame: int = -1, quick: bool = False) -> Study:
-    """Seconds of one query at points of the sampling box, all methods in turns, on one core and on two.
+def query_studies(networks: Networks, trajectory: Trajectory, samples: DistanceSamples, frame: int = -1, quick: bool = False) -> list[Study]:
+    """Seconds of one query at points of the sampling box for each size of batch, all methods in turns, on one core and on two.
 
-    The frame stands still: hierarchies, trees and latents are ready; what a change of frame costs is in `measured_shapes`
-    and, for the mesh, in the point "refitted for each batch". Points come in Morton order, which suits the mesh and
-    KNN-1 and is all one to a network. The error is the mean over samples near the surface, against libigl in float64.
-    Raises ConfigurationError when libigl is not installed; it comes with sdfnet's dev extra.
+    The frame stands still: hierarchies, trees and latents are ready, except where the name says otherwise; what a change
+    of frame costs is in `measured_shapes`. Points come in Morton order, which suits the mesh and KNN-1 and is all one to a
+    network. The error is the mean over samples near the surface, against libigl in float64 with signs by pseudo-normals.
+    Raises ConfigurationError when libigl is not installed; it comes with sdfnet's cost extra.
     """
     frame %= len(trajectory.times)
-    batches = BATCHES[:2] if quick else BATCHES
     answers = _answers(networks, trajectory, samples, frame)
     near = samples.near_points[:: max(1, len(samples.near_points) // ERROR_POINTS)]
     true = exact_distances(near, trajectory.surface(frame))
     errors = {method: MILLIMETRES * float(np.abs(answer(torch.from_numpy(near)).numpy() - true).mean()) for method, answer in answers.items()}
-    points = []
+    points, repeats = torch.from_numpy(samples.points), 2 if quick else REPEATS
+    return [_batch_study(batch, answers, errors, points, repeats) for batch in (BATCHES[:2] if quick else BATCHES)]
+
+
+def _batch_study(batch: int, answers: Mapping[str, Answer], errors: Mapping[str, float], asked: Float32[Tensor, "points 3"], repeats: int) -> Study:
+    """What one query of a batch costs, with the seconds of all methods in a sentence, of those too that are on no front.
+
+    libigl is no reference here: its answers are rounded to float32 like all others, and its seconds count.
+    """
+    timed = {method: answer for method, answer in answers.items() if batch > 1 or method != REBUILT_LIBIGL}
+    points, notes = [], []
     for count in [count for count in CORES if count <= len(available_cores())]:
         with on_cores(count):
-            timings = query_seconds(answers, torch.from_numpy(samples.points), batches, 2 if quick else REPEATS)
-        named = f"{count} core{'s' * (count > 1)}"
-        points += [
-            Point(f"{method}, {named}", f"batch {batch:,}", errors[method], timing, {"queries": batch}, is_reference=method == REFERENCE)
-            for (method, batch), timing in timings.items()
-        ]
+            timings = query_seconds(timed, asked, batch, repeats)
+        cores = f"{count} core{'s' * (count > 1)}"
+        points += [Point(method, cores, errors[method], timing, {"queries": batch}) for method, timing in timings.items()]
+        notes.append(f"One query on {cores}: {'; '.join(f'{method} {duration_text(timing.median)}' for method, timing in timings.items())}.")
     return Study(
-        "query",
+        f"query_{batch}",
         "network",
-        "One query in batches of one, a thousand and a million",
+        f"One query in batches of {batch:,}",
         "mean error of the distance near the surface against libigl in float64 (mm)",
         "one query (s)",
         tuple(points),
+        notes=tuple(notes),
     )
 
 
-def query_seconds(answers: Mapping[str, Answer], points: Float32[Tensor, "points 3"], batches: Sequence[int], repeats: int) -> dict[tuple[str, int], Timing]:
-    """Seconds of one query by method and batch size. Batches larger than `points` repeat them; small ones are spread over them."""
-    tasks, asked = {}, {}
-    for batch in batches:
-        calls = max(1, min(MOST_CALLS, MOST_CALLS * BATCHES[1] // 10 // batch))
-        chosen = torch.arange(batch * calls) * len(points) // (batch * calls)
-        parts = points[chosen].split(batch)
-        for method, answer in answers.items():
-            tasks[f"{method} {batch}"] = partial(_answer_all, answer, parts)
-            asked[f"{method} {batch}"] = (method, batch, batch * calls)
-    found = interleaved(tasks, repeats)
-    return {(method, batch): found[name].divided_by(count) for name, (method, batch, count) in asked.items()}
-
-
-@contextmanager
-def on_cores(count: int) -> Iterator[None]:
-    """Bind this thread and those that it starts meanwhile to `count` cores, and PyTorch to as many threads; as it was afterwards.
-
-    Threads that run already, such as those of PyTorch's pool, are not bound: on one core PyTorch uses none of them, on
-    more it uses as many as are wanted, on cores of the system's choice. Raises ConfigurationError when there are fewer
-    cores. Where the system cannot bind threads (macOS, Windows) only PyTorch is held.
-    """
-    allowed, threads = available_cores(), torch.get_num_threads()
-    if count > len(allowed):
-        raise ConfigurationError(f"a timing on {count} cores needs as many, found {len(allowed)}; ask for fewer")
-    bind = getattr(os, "sched_setaffinity", lambda process, cores: None)
-    bind(0, allowed[:count])
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        bind(0, allowed)
-        torch.set_num_threads(threads)
-
-
-def available_cores() -> list[int]:
-    """Numbers of the cores that this process may use."""
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+def query_seconds(answers: Mapping[str, Answer], points: Float32[Tensor, "points 3"], batch: int, repeats: int) -> dict[str, Timing]:
+    """Seconds of one query by method. Batches larger than `points` repeat them; small ones are spread over them."""
+    calls = max(1, min(MOST_CALLS, MOST_SMALL_QUERIES // batch))
+    chosen = torch.arange(batch * calls) * len(points) // (batch * calls)
+    parts = points[chosen].split(batch)
+    found = interleaved({method: partial(_answer_all, answer, parts) for method, answer in answers.items()}, repeats)
+    return {method: timing.divided_by(batch * calls) for method, timing in found.items()}
 
 
 def _answers(networks: Networks, trajectory: Trajectory, samples: DistanceSamples, frame: int) -> dict[str, Answer]:
@@ -118,33 +94,22 @@ def _answers(networks: Networks, trajectory: Trajectory, samples: DistanceSample
         "Warp, mesh": exact.signed_distance,
         "Warp, mesh refitted for each batch": after_refit,
         "KNN-1": partial(NearestSampleField(samples).distances, frame),
-        REFERENCE: _libigl(surface),
+        LIBIGL: _libigl(surface),
+        REBUILT_LIBIGL: lambda points: torch.from_numpy(exact_distances(points.numpy(), surface)).float(),
     }
 
 
 def _libigl(surface: Surface) -> Answer:
-    """libigl's pseudonormal distance in float64: for one point by its kept tree, for more by its own call, which builds the tree each time."""
+    """libigl's distance in float64 by a tree that is kept, signed by fast winding numbers: the only sign of many points for which it keeps what it builds."""
     igl = package("igl", "libigl")
-    vertices, faces = surface.vertices, surface.faces
-    tree = igl.AABB()
-    tree.init(vertices, faces)
-    face_normals = igl.per_face_normals(vertices, faces, np.zeros(3))
-    vertex_normals = igl.per_vertex_normals(vertices, faces, igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE, face_normals)
-    edge_normals, _, edge_of = igl.per_edge_normals(vertices, faces, igl.PER_EDGE_NORMALS_WEIGHTING_TYPE_UNIFORM)
-
-    three = np.arange(3)
+    tree, winding = igl.AABB(), igl.FastWindingNumberBVH()
+    tree.init(surface.vertices, surface.faces)
+    winding.init(surface.vertices, surface.faces)
 
     def answer(points: Tensor) -> Tensor:
         asked = points.double().numpy()
-        if len(asked) > 1:
-            return torch.from_numpy(exact_distances(points.numpy(), surface)).float()
-        squared, found, closest = tree.squared_distance(vertices, faces, asked)
-        # Only what belongs to the face is handed over: the binding copies its arguments, which cost ten times the search.
-        face = int(found[0])
-        corners, edges = faces[face], edge_of.reshape(3, -1)[:, face]
-        of_face = (face_normals[[face]], vertex_normals[corners], edge_normals[edges], three[:, None])
-        sign, _ = igl.pseudonormal_test(vertices[corners], three[None], *of_face, asked, closest, 0)
-        return torch.from_numpy(sign * np.sqrt(squared)).float()
+        squared, _, _ = tree.squared_distance(surface.vertices, surface.faces, asked)
+        return torch.from_numpy(np.where(winding.winding_number(asked) > 0.5, -1, 1) * np.sqrt(squared)).float()
 
     return answer
 
