@@ -28,16 +28,24 @@ def test_each_budget_is_a_point_and_the_users_own_setting_the_default(ball_famil
     ]
     assert study.points[0].overrides == ("model.width=8", "model.frequencies=8", "training.seconds=0.3", "training.epochs=100000")
     assert [one.networks.decoder.parameter_count for one in trained] == [point.counts["decoder parameters"] for point in study.points]
-    assert study.points[2].counts["steps"] == 2 * 4 * 40  # Lightning counts the step of each of both optimisers
+    assert study.points[2].counts["steps"] == 4 * 40
     assert all(point.is_measured for point in study.points)
 
 
-def test_training_ends_soon_after_its_seconds_and_its_rates_have_fallen_to_nothing(ball_family: ShapeFamily) -> None:
+def test_training_ends_soon_after_its_seconds_and_its_rates_have_fallen_to_nothing(ball_family: ShapeFamily, monkeypatch: pytest.MonkeyPatch) -> None:
+    rates: list[float] = []
+    monkeypatch.setattr(SdfTraining, "on_train_epoch_end", lambda module: rates.extend(one.param_groups[0]["lr"] for one in module._both_optimizers()))
     study, _ = training_study(ball_family, MODEL, TRAINING, OPTIMIZER, "32-true", (Budget(None, 1.0),))
     (point,) = study.points
     assert point.seconds is not None
     assert 1.0 <= point.seconds.median < 3.0  # a step takes milliseconds; the machine may be busy
-    assert 0 < point.counts["steps"] < 2 * 40 * 100_000
+    for rate, first in zip(rates[-2:], (OPTIMIZER.encoder_rate, OPTIMIZER.decoder_rate), strict=True):
+        assert rate < 0.2 * first  # the last step began within a fifth of the time from its end
+
+
+def test_seconds_that_the_user_gave_are_said_beside_the_epochs(ball_family: ShapeFamily) -> None:
+    study, _ = training_study(ball_family, MODEL, replace(TRAINING, seconds=0.05), OPTIMIZER, "32-true", (Budget(), Budget(None, 0.1)))
+    assert [point.setting for point in study.points] == ["4 epochs, 0.05 s at most", "0.1 s"]
 
 
 def test_more_steps_lower_the_error(ball_family: ShapeFamily) -> None:

@@ -56,22 +56,20 @@ def training_study(
         torch.manual_seed(family.seed)
         module = SdfTraining(family, chosen, limited, optimizer)
         method = f"width {chosen.width}"
-        setting = f"{training.epochs} epochs" if budget.seconds is None else f"{budget.seconds:g} s"
-        overrides = _overrides(budget)
+        setting, overrides = _length(training, budget), _overrides(budget)
         try:
             fit_quietly(module, family, limited.epochs, precision, validate_every=limited.validate_every)
         except TrainingError as error:
             points.append(Point(method, setting, overrides=overrides, failure=str(error)))
             continue
         networks = module.networks.eval().cpu()
-        counts = {"steps": module.global_step, "decoder parameters": networks.decoder.parameter_count}
+        counts = {"steps": module.trainer.fit_loop.total_batch_idx + 1, "decoder parameters": networks.decoder.parameter_count}
         seconds = Timing.of([module.train_seconds])
         size = networks.sizes(len(family.shapes))["query_bytes"]
         points.append(Point(method, setting, near_error_mm(networks, family), seconds, counts, size, budget == Budget(), overrides))
         trained.append(Trained(networks, points[-1]))
-    study = Study(
-        "training", "training", "What training costs", "mean error of the distance within 1 % of D of the surface (mm)", "training (s)", tuple(points)
-    )
+    error_label = "mean error of the distance within 1 % of D of the surface (mm)"
+    study = Study("training", "training", "What training costs", error_label, "training on the CPU (s)", tuple(points))
     return study, trained
 
 
@@ -86,6 +84,14 @@ def near_error_mm(networks: Networks, family: ShapeFamily, frames: int = MEASURE
             predicted = networks.decoder(latents[frame : frame + 1], asked)[0]
         found.append(field_errors(predicted, torch.from_numpy(samples.near_distances[frame][chosen]), diagonal).mae_within_1_percent_mm)
     return float(np.mean(found))
+
+
+def _length(training: TrainingSettings, budget: Budget) -> str:
+    """How long that budget lets a network train, in words."""
+    if budget.seconds is not None:
+        return f"{budget.seconds:g} s"
+    limit = "" if training.seconds is None else f", {training.seconds:g} s at most"
+    return f"{training.epochs} epochs{limit}"
 
 
 def _overrides(budget: Budget) -> tuple[str, ...]:
