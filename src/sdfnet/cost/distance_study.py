@@ -59,7 +59,7 @@ def distance_study(trajectory: Trajectory, sampling: Sampling | None = None, cou
     The error is the root mean square over the points; wrong signs are counted apart for points of the box and near the surface.
     Seconds hold all that a new frame asks for: refit, rebuilding or sampling once, and the queries at the rate of those asked. Approximations take the
     nearest vertex or sample and the side on which its normal says that the point lies. Packages that are not installed are failed
-    points. Raises ConfigurationError without libigl, which comes with sdfnet's dev extra, or for a frame without one before it.
+    points. Raises ConfigurationError without libigl, which comes with sdfnet's cost extra, or for a frame without one before it.
     """
     frame = range(len(trajectory.times))[frame]
     if frame == 0:
@@ -107,11 +107,11 @@ def exact_distances(points: Float32[np.ndarray, "points 3"], surface: Surface) -
 
 
 def package(name: str, project: str) -> Any:
-    """An optional package. Raises ConfigurationError when it, or what it needs itself, is not installed."""
+    """An optional package. Raises ConfigurationError when it, or what it needs itself, such as a library of the system, is not installed."""
     try:
         return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(f"this method needs {project}, which could not be imported; pip install {project}") from error
+    except (ImportError, OSError) as error:
+        raise ConfigurationError(f"this method needs {project}, which could not be imported ({error}); pip install 'sdfnet[cost]'") from error
 
 
 def _measured(method: _Method, queries: Queries, exact: Float64[np.ndarray, " points"]) -> Point:
@@ -144,9 +144,10 @@ def _set_up(point: Point) -> str:
 
 
 def _ours(trajectory: Trajectory, frame: int, points: Float32[np.ndarray, "points 3"]) -> list[_Method]:
-    """As `sdfnet.data.prepare` asks, and without what it saves."""
+    """As `sdfnet.data.prepare` asks, whose hierarchy is built at frame 0 and has come to the frame before, and without what it saves."""
     surface, before = trajectory.surface(frame), trajectory.surface(frame - 1)
-    moving = SurfaceDistance(before)
+    moving = SurfaceDistance(trajectory.surface(0))
+    moving.deform(before.vertices)
     last = moving.signed_distance(torch.from_numpy(points)).abs()
     bound = last + float(np.linalg.norm(surface.vertices - before.vertices, axis=1).max())
 
