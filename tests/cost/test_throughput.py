@@ -1,16 +1,25 @@
 """The plain loop that training is timed beside."""
 
+import multiprocessing
+from contextlib import nullcontext
+from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
+from unittest import mock
 
+import pytest
 import torch
 
-from sdfnet.cost.throughput import _PlainNetworks
+from sdfnet.cost import throughput
+from sdfnet.cost.throughput import _PlainNetworks, measured_throughput
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.settings import BatchSettings
+from sdfnet.errors import ConfigurationError, TrainingError
 from sdfnet.models.decoder import OUTPUT_UNIT
 from sdfnet.models.networks import Networks
 from sdfnet.models.settings import ModelSettings
 from sdfnet.plugins import find_datasets
+from tests.cost.conftest import MODEL, OPTIMIZER, TRAINING
 
 ROOT = Path(__file__).parents[2]
 
@@ -29,3 +38,25 @@ def test_the_plain_loop_trains_the_same_network(tmp_path: Path) -> None:
     points = torch.from_numpy(family.samples.points[:50])
     ours = networks(family.shapes[3:4], points) / (OUTPUT_UNIT * decoder.half_side)
     assert torch.allclose(plain(family.shapes[3:4], points), ours, atol=1e-6)
+
+
+def test_speeds_are_measured_over_all_rounds_whatever_limits_the_training(ball_family: ShapeFamily, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = mock.MagicMock(spec=Connection)  # the true one's process takes seconds to start
+    asked.recv.side_effect = [1.0, 2.0, 4.0, 5.0, 30.0]
+    monkeypatch.setattr(throughput, "_plain_loop", lambda family, model: nullcontext(asked))
+    speed = measured_throughput(ball_family, MODEL, replace(TRAINING, seconds=1e-3, epochs=1), OPTIMIZER, "32-true")
+    assert speed.plain == 4.5, "the median without the first round"
+    assert speed.sdfnet > 1000  # pairs a second: a step has 2,000 and takes milliseconds
+
+
+def test_plain_loop_ends_with_a_training_that_diverges(ball_family: ShapeFamily) -> None:
+    with pytest.raises(TrainingError, match="not finite"):
+        measured_throughput(ball_family, MODEL, TRAINING, replace(OPTIMIZER, decoder_rate=1e30), "32-true")
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("model", [replace(MODEL, conditioning="modulated"), replace(MODEL, activation="siren")])
+def test_network_that_the_plain_loop_does_not_have_is_refused(ball_family: ShapeFamily, model: ModelSettings) -> None:
+    found = f"found model.conditioning={model.conditioning} and model.activation={model.activation}; leave throughput out of studies"
+    with pytest.raises(ConfigurationError, match=found):
+        measured_throughput(ball_family, model, TRAINING, OPTIMIZER, "32-true")

@@ -4,7 +4,8 @@ import multiprocessing
 import statistics
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from torch.utils.data import DataLoader, Dataset
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.settings import BatchSettings
 from sdfnet.data.store import read_distances, read_trajectory
+from sdfnet.errors import ConfigurationError
 from sdfnet.models.latents import latent_source_of
 from sdfnet.models.mlp import mlp
 from sdfnet.models.networks import Networks
@@ -53,30 +55,28 @@ class Throughput:
 
 
 def measured_throughput(family: ShapeFamily, model: ModelSettings, training: TrainingSettings, optimizer: OptimizerSettings, precision: str) -> Throughput:
-    """Both speeds, measured in turns, on the prepared files of `family`."""
-    rounds = InterleavedRounds(family, model)
-    fit_quietly(SdfTraining(family, model, training, optimizer), family, ROUNDS, precision, [rounds])
+    """Both speeds, measured in turns, on the prepared files of `family`.
+
+    Raises ConfigurationError for a network that the plain loop does not have.
+    """
+    if model.conditioning != "first_layer" or model.activation == "siren":
+        raise ConfigurationError(
+            "the plain loop needs a latent that enters the first layer and weights that are not siren's, found "
+            f"model.conditioning={model.conditioning} and model.activation={model.activation}; leave throughput out of studies"
+        )
+    with _plain_loop(family, model) as plain:
+        rounds = InterleavedRounds(family, plain)
+        fit_quietly(SdfTraining(family, model, replace(training, seconds=None, epochs=ROUNDS), optimizer), family, ROUNDS, precision, [rounds])
     return rounds.result()
 
 
 class InterleavedRounds(Callback):
-    """Times the epochs of a training, and after each has the plain loop take PLAIN_STEPS; give the trainer ROUNDS epochs.
+    """Times the epochs of a training, and after each has the plain loop take PLAIN_STEPS; give the trainer ROUNDS epochs."""
 
-    The plain loop waits in a process of its own, as it would run: the memory settings of sdfnet's training do not help it.
-    """
-
-    def __init__(self, family: ShapeFamily, model: ModelSettings) -> None:
-        self._family, self._model = family, model
+    def __init__(self, family: ShapeFamily, plain: Connection) -> None:
+        self._family, self._connection = family, plain
         self._sdfnet: list[float] = []
         self._plain: list[float] = []
-
-    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
-        """Start the plain loop's process; it waits until it is asked for a step."""
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        files = self._family.files
-        self._process = context.Process(target=_answer_with_plain_steps, args=(theirs, files.trajectory, files.distances, self._model), daemon=True)
-        self._process.start()
 
     def on_train_epoch_start(self, trainer: Trainer, module: LightningModule) -> None:
         """Start the clock."""
@@ -89,14 +89,24 @@ class InterleavedRounds(Callback):
         self._connection.send(True)
         self._plain.append(self._connection.recv())
 
-    def on_train_end(self, trainer: Trainer, module: LightningModule) -> None:
-        """End the plain loop's process."""
-        self._connection.send(False)
-        self._process.join()
-
     def result(self) -> Throughput:
         """Medians without the warm-up round."""
         return Throughput(statistics.median(self._sdfnet[1:]), statistics.median(self._plain[1:]))
+
+
+@contextmanager
+def _plain_loop(family: ShapeFamily, model: ModelSettings) -> Iterator[Connection]:
+    """The plain loop, waiting to be asked for steps, in a process of its own, as it would run: the memory settings of sdfnet's training do not help it."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_answer_with_plain_steps, args=(theirs, family.files.trajectory, family.files.distances, model), daemon=True)
+    process.start()
+    theirs.close()  # so that the end of the process ends a wait for it
+    try:
+        yield ours
+    finally:
+        process.kill()
+        process.join()
 
 
 def _answer_with_plain_steps(connection: Connection, trajectory: Path, distances: Path, model: ModelSettings) -> None:
@@ -104,7 +114,8 @@ def _answer_with_plain_steps(connection: Connection, trajectory: Path, distances
     box = family.samples.box
     networks = Networks(model, family.shapes, torch.from_numpy(box.lower).float(), torch.from_numpy(box.upper).float())
     steps = plain_training(family, networks)
-    while connection.recv():
+    while True:
+        connection.recv()
         connection.send(statistics.median(next(steps) for _ in range(PLAIN_STEPS)))
 
 
