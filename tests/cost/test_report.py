@@ -1,6 +1,7 @@
 """The report page in a real browser, wide and at phone width, and the files beside it."""
 
 import csv
+import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -110,6 +111,7 @@ def test_table_holds_every_point_and_its_reason(folder: Path) -> None:
     assert [row["is_reference"] for row in rows] == ["0", "0", "0", "1", "0", "0"]
     assert [row["is_default"] for row in rows] == ["0", "1", "0", "0", "0", "0"]
     assert float(rows[0]["seconds_p95"]) == pytest.approx(1.2)
+    assert json.loads(rows[0]["counts"]) == {"products": 10_000}
     assert rows[1]["overrides"] == "dataset.scene.solver.time_step=2e-06"
 
 

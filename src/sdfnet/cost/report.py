@@ -1,7 +1,9 @@
 """The studies as one page that opens offline, as a table, as pictures and as a short text."""
 
 import csv
+import json
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +18,6 @@ from sdfnet.cost.studies import Point, Study, Timing, duration_text
 from sdfnet.data.store import written_whole
 
 COLOURS = ("#0b6e99", "#d1495b", "#2a9d5c", "#edae49", "#6a4c93", "#8d6b4f", "#00a6a6", "#9a9a9a", "#c06c84", "#3d5a80")
-COLUMNS = (
-    "study",
-    "stage",
-    "method",
-    "setting",
-    "error_mm",
-    "seconds",
-    "seconds_p5",
-    "seconds_p95",
-    "repeats",
-    "bytes",
-    "counts",
-    "is_default",
-    "is_reference",
-    "overrides",
-    "failure",
-)
 
 
 def write_report(folder: Path, title: str, subtitle: str, studies: Sequence[Study], summary: Sequence[str], made_with: Mapping[str, Any]) -> None:
@@ -86,7 +71,7 @@ def _figure(study: Study) -> graph.Figure:
         x=[point.pair[0] for point in front], y=[point.pair[1] for point in front],
         mode="lines", name="front", line={"color": "#1c2430", "dash": "dot", "width": 1}, hoverinfo="skip",
     )  # fmt: skip
-    for colour, (method, points) in zip(_cycled(len(_series(study))), _series(study).items(), strict=True):
+    for colour, (method, points) in zip(cycle(COLOURS), _series(study).items(), strict=False):
         timings = [point.seconds or Timing.of([point.pair[1]]) for point in points]
         figure.add_scatter(
             x=[point.pair[0] for point in points], y=[point.pair[1] for point in points], mode="lines+markers", name=method,
@@ -116,7 +101,7 @@ def _picture(study: Study) -> Figure:
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.subplots()
     series = _series(study)
-    for colour, (method, points) in zip(_cycled(len(series)), series.items(), strict=True):
+    for colour, (method, points) in zip(cycle(COLOURS), series.items(), strict=False):
         axes.plot(*zip(*[point.pair for point in points], strict=True), "o-", color=colour, label=method, markersize=4, linewidth=1)
     front = front_of(study)
     if front:
@@ -133,17 +118,33 @@ def _picture(study: Study) -> Figure:
 
 
 def _write_points(path: Path, studies: Sequence[Study]) -> None:
+    rows = [_row(study, point) for study in studies for point in study.points]
     with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for study in studies:
-            for point in study.points:
-                timing = point.seconds
-                times = ("", "", "", "") if timing is None else (timing.median, timing.p5, timing.p95, timing.repeats)
-                error = "" if point.error_mm is None else point.error_mm
-                counts, size = _counts(point), "" if point.bytes is None else point.bytes
-                rest = (int(point.is_default), int(point.is_reference), " ".join(point.overrides), point.failure or "")
-                writer.writerow([study.name, study.stage, point.method, point.setting, error, *times, size, counts, *rest])
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _row(study: Study, point: Point) -> dict[str, Any]:
+    """A point for a program to read; what is None is an empty cell."""
+    timing = point.seconds
+    return {
+        "study": study.name,
+        "stage": study.stage,
+        "method": point.method,
+        "setting": point.setting,
+        "error_mm": point.error_mm,
+        "seconds": None if timing is None else timing.median,
+        "seconds_p5": None if timing is None else timing.p5,
+        "seconds_p95": None if timing is None else timing.p95,
+        "repeats": None if timing is None else timing.repeats,
+        "bytes": point.bytes,
+        "counts": json.dumps(dict(point.counts)),
+        "is_default": int(point.is_default),
+        "is_reference": int(point.is_reference),
+        "overrides": " ".join(point.overrides),
+        "failure": point.failure,
+    }
 
 
 def _cells(point: Point) -> dict[str, Any]:
@@ -177,7 +178,3 @@ def _hover(point: Point) -> str:
     cells = _cells(point)
     size = f"<br>{cells['bytes']} bytes" if cells["bytes"] else ""
     return f"<b>{point.method}</b><br>{point.setting}<br>{cells['error']} mm, {cells['seconds']} ({cells['spread']})<br>{cells['counts']}{size}"
-
-
-def _cycled(count: int) -> list[str]:
-    return [COLOURS[place % len(COLOURS)] for place in range(count)]
