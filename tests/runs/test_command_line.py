@@ -384,7 +384,7 @@ def test_each_script_shows_its_settings_and_refuses_a_wrong_key(name: str) -> No
 
 
 @pytest.mark.parametrize("resume", [[], ["resume=null"]])
-def test_a_run_in_the_folder_where_it_is_typed_is_no_earlier_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], resume: list[str]) -> None:
+def test_a_run_where_it_is_typed_is_no_earlier_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], resume: list[str]) -> None:
     Path(".hydra").mkdir()
     Path(".hydra/overrides.yaml").write_text("[model.width=8]")
     monkeypatch.setattr(sys, "argv", ["train.py", "seed=1", *resume])
