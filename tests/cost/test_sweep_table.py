@@ -24,7 +24,6 @@ from sdfnet.cost.sweep_table import (
     read_jobs,
     rows_of,
     smallest_settled,
-    smallest_within,
     unplanned,
     write_plan,
 )
@@ -65,7 +64,7 @@ def sweep(tmp_path: Path) -> Path:
 
 def test_smallest_network_is_judged_by_the_median_of_its_seeds_and_never_by_the_best(sweep: Path) -> None:
     rows = rows_of(read_jobs(sweep), Target())
-    smallest = smallest_within(rows)
+    smallest = smallest_settled(read_jobs(sweep), Target())
     assert [row.decoder_parameters for row in rows] == [64, 256, 1024, 4096]
     assert smallest is not None
     assert smallest.setting == ("model.width=32",)
@@ -73,10 +72,10 @@ def test_smallest_network_is_judged_by_the_median_of_its_seeds_and_never_by_the_
 
 
 def test_target_of_its_own_and_mean_over_frames_choose_another_network(sweep: Path) -> None:
-    by_mean = smallest_within(rows_of(read_jobs(sweep), Target(chamfer_l1_mm=0.26, frames="mean")))
+    by_mean = smallest_settled(read_jobs(sweep), Target(chamfer_l1_mm=0.26, frames="mean"))
     assert by_mean is not None
     assert by_mean.setting == ("model.width=16",)
-    assert smallest_within(rows_of(read_jobs(sweep), Target(chamfer_l1_mm=0.01))) is None
+    assert smallest_settled(read_jobs(sweep), Target(chamfer_l1_mm=0.01)) is None
 
 
 def test_frame_without_a_surface_is_an_infinite_error_and_not_a_good_one(tmp_path: Path) -> None:
@@ -110,9 +109,9 @@ def test_table_says_no_surface_and_shows_settings_in_brackets(tmp_path: Path) ->
 def test_without_a_surface_of_knn1_there_is_no_target_and_the_sentence_asks_for_one(tmp_path: Path) -> None:
     write_job(tmp_path, ["model.width=8"], result(64, 0.1, 0.2, knn1=None))
     jobs = read_jobs(tmp_path)
-    assert smallest_within(rows_of(jobs, Target())) is None
+    assert smallest_settled(jobs, Target()) is None
     assert "KNN-1 has no surface in some frame, so there is nothing to be as good as: set target.chamfer_l1_mm" in sentences_of(jobs, Target())[0]
-    assert smallest_within(rows_of(jobs, Target(chamfer_l1_mm=0.3))) is not None
+    assert smallest_settled(jobs, Target(chamfer_l1_mm=0.3)) is not None
 
 
 def test_only_what_a_sweep_asks_for_is_counted_and_what_it_has_not_begun_is_not_passed_over(sweep: Path) -> None:
@@ -121,7 +120,7 @@ def test_only_what_a_sweep_asks_for_is_counted_and_what_it_has_not_begun_is_not_
     jobs = read_jobs(sweep)
     assert [list(job.overrides) for job in jobs] == asked  # in the order of the sweep, not of the names
     assert [job.status for job in jobs] == 3 * [FINISHED] + 3 * [NOT_STARTED]
-    smallest = smallest_within(rows_of(jobs, Target()))
+    smallest = smallest_settled(jobs, Target())
     assert smallest is not None
     assert smallest.setting == ("model.width=64",)
     assert "model.width=32_seed=0" in (left := unplanned(sweep))
@@ -143,7 +142,35 @@ def test_a_lucky_seed_leaves_no_larger_network_out_before_the_others_of_its_row_
         write_plan(sweep, {job.folder.name: job.overrides for job in read_jobs(sweep)} | {"_".join(overrides): overrides})
     else:
         write_job(sweep, overrides, None, status)
-    assert smallest_settled(read_jobs(sweep), Target()) == settled
+    jobs = read_jobs(sweep)
+    assert smallest_settled(jobs, Target()) == settled
+    said = "\n".join(sentences_of(jobs, Target()))
+    assert "The smallest decoder as good as KNN-1 on the worst frame has 1,024 parameters" in said
+    assert "model.width=4 may do with 16 parameters: 1 of 2 seeds finished." in said
+    console = Console(width=200, file=io.StringIO())
+    console.print(table_of(jobs, Target()))
+    (marked,) = [line for line in console.file.getvalue().splitlines() if "smallest" in line]  # type: ignore[attr-defined]
+    assert "model.width=32" in marked
+    write_tables(sweep, jobs, Target())
+    assert "model.width=32" in json.loads((sweep / "sweep.json").read_text())["smallest"]
+
+
+def test_where_nothing_is_settled_no_network_is_called_the_smallest(tmp_path: Path) -> None:
+    write_job(tmp_path, ["model.width=4", "seed=0"], result(16, 0.1, 0.1))
+    write_job(tmp_path, ["model.width=4", "seed=1"], None, RUNNING)
+    _, *said = sentences_of(read_jobs(tmp_path), Target())
+    assert said[0] == "1 of 2 jobs finished; of none that is as good as KNN-1 on the worst frame every seed finished."
+    assert said[1] == "model.width=4 may do with 16 parameters: 1 of 2 seeds finished."
+
+
+def test_jobs_asked_for_with_another_target_or_data_folder_are_of_one_row(tmp_path: Path) -> None:
+    write_job(tmp_path, ["model.width=4", "seed=0", "target.frames=mean", "data_folder=a"], result(16, 0.1, 0.1))
+    write_job(tmp_path, ["model.width=4", "seed=1"], result(16, 0.2, 0.2))
+    write_job(tmp_path, ["model.width=8", "seed=0", "target.frames=worst"], None, FAILED, "why")
+    jobs = read_jobs(tmp_path)
+    (row,) = rows_of(jobs, Target())
+    assert (row.setting, row.seeds) == (("model.width=4",), 2)
+    assert sentences_of(jobs, Target())[0] == "failed: model.width=8 seed=0: why"
 
 
 def test_jobs_that_failed_or_never_finished_stay_in_table_and_file_with_their_reason(sweep: Path) -> None:
@@ -189,6 +216,14 @@ def test_jobs_of_different_versions_are_told_apart(sweep: Path) -> None:
     assert sentences_of(read_jobs(sweep), Target())[-1] == "The jobs ran with different versions, and may differ for that alone: torch 2.1, torch 2.2."
 
 
+def test_jobs_of_one_dataset_trained_on_different_files_are_told_apart(sweep: Path) -> None:
+    for width, dataset, distances in ((8, "a", "old"), (16, "a", "new"), (32, "b", "of b")):
+        files = {"settings": {"dataset": {"name": dataset}}, "files": {"trajectory": "one", "distances": distances}}
+        (sweep / f"model.width={width}_seed=0" / RESULT_FILE).write_text(json.dumps(result(width**2, 0.4, 0.9) | files))
+    said = "The jobs were trained on different files of the same dataset, and may differ for that alone: new, old."
+    assert sentences_of(read_jobs(sweep), Target())[-1] == said
+
+
 def test_sentences_name_the_smallest_its_command_and_the_knee(sweep: Path) -> None:
     jobs = read_jobs(sweep)
     text = "\n".join(sentences_of(jobs, Target()))
@@ -208,6 +243,13 @@ def test_command_quotes_what_a_shell_would_change() -> None:
 
 def test_command_of_a_job_of_a_sweeps_page_runs_the_job_alone() -> None:
     assert command_of(["sweep=min_size", "model.width=8", "seed=2"]) == "python train.py sweep=min_size model.width=8 seed=2 hydra.mode=RUN"
+
+
+def test_command_trains_on_as_many_threads_as_the_job_had(sweep: Path) -> None:
+    for seed, threads in ((0, 7), (1, 3), (2, 7)):
+        (sweep / f"model.width=32_seed={seed}" / RESULT_FILE).write_text(json.dumps(result(1024, 0.1, 0.3 + seed / 100) | {"threads": threads}))
+    assert "Train it again: python train.py model.width=32 seed=1 trainer.threads=3" in sentences_of(read_jobs(sweep), Target())
+    assert command_of(["trainer.threads=2"], 2) == "python train.py trainer.threads=2"
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,7 @@ def train(settings: TrainSettings, output: Path) -> float:
         "device": str(trainer.strategy.root_device),
         "seed": settings.seed,
         "split": settings.split,
+        "files": family.file_names,
         "settings": described(settings),
     }
     frames = family.train_frames.tolist()

@@ -1,11 +1,13 @@
 """A sweep as a table and sentences for the screen, and as files."""
 
 import csv
+import json
 import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 from rich.text import Text
@@ -15,13 +17,14 @@ from sdfnet.cost.sweep_table import (
     JOB_COLUMNS,
     NOT_STARTED,
     Job,
+    Row,
     Target,
     knee_of,
     overrides_alone,
     rows_of,
     shared_overrides,
     short_setting,
-    smallest_within,
+    smallest_settled,
 )
 from sdfnet.data.store import write_json, written_whole
 
@@ -31,7 +34,7 @@ def table_of(jobs: Sequence[Job], target: Target) -> Table:
     rows = rows_of(jobs, target)
     shared = shared_overrides(jobs)
     front = pareto_front([(getattr(row, target.metric), float(row.decoder_parameters)) for row in rows])
-    smallest, bend = smallest_within(rows), knee_of(rows, target)
+    smallest, bend = smallest_settled(jobs, target), knee_of(rows, target)
     table = Table(
         title=f"chamfer L1, median over the seeds (lowest to highest); good enough: {target.words()}",
         caption="size: parameters of the decoder; kB: of all frames, latents included; s: of training",
@@ -42,7 +45,7 @@ def table_of(jobs: Sequence[Job], target: Target) -> Table:
     for heading in ("size", "kB", "mean, mm", "worst, mm", "s", "seeds"):
         table.add_column(heading, justify="right")
     for place, row in enumerate(rows):
-        notes = [word for word, holds in (("smallest", row is smallest), ("knee", row is bend), ("front", place in front)) if holds]
+        notes = [word for word, holds in (("smallest", row == smallest), ("knee", row == bend), ("front", place in front)) if holds]
         setting = short_setting(row.setting, shared) + (f"  <- {', '.join(notes)}" if notes else "")
         table.add_row(
             Text(setting),  # and not markup: lists stand in brackets
@@ -58,39 +61,65 @@ def table_of(jobs: Sequence[Job], target: Target) -> Table:
 
 def sentences_of(jobs: Sequence[Job], target: Target) -> list[str]:
     """Every job that was started and did not finish, with its reason; then the smallest network that is good enough, the knee, and their commands."""
-    rows, results = rows_of(jobs, target), [job.result for job in jobs if job.result is not None]
-    smallest, bend = smallest_within(rows), knee_of(rows, target)
+    rows, shared = rows_of(jobs, target), shared_overrides(jobs)
+    bend = knee_of(rows, target)
+    sentences = [f"{job.status}: {short_setting(job.overrides, shared)}: {job.reason}" for job in jobs if job.result is None and job.status != NOT_STARTED]
+    sentences += _answer(jobs, rows, target)
+    if bend is not None:
+        sentences.append(
+            f"The knee is at {bend.decoder_parameters:,} parameters ({_millimetres(getattr(bend, target.metric))}): from there on more parameters buy less. "
+            f"{command_of(bend.overrides, bend.threads)}"
+        )
+    return sentences + _mixtures([job.result for job in jobs if job.result is not None])
+
+
+def _answer(jobs: Sequence[Job], rows: Sequence[Row], target: Target) -> list[str]:
+    """The smallest network that is good enough and its command, or why there is none; and a smaller one of which seeds are missing."""
+    results = [job.result for job in jobs if job.result is not None]
+    smallest, possible = smallest_settled(jobs, target), next((row for row in rows if row.is_within_target), None)
     done = f"{len(results)} of {len(jobs)} jobs finished"
     if any(target.allowed(result) is None for result in results):
-        sentences = [f"{done}; KNN-1 has no surface in some frame, so there is nothing to be as good as: set target.chamfer_l1_mm."]
-    elif smallest is None:
+        return [f"{done}; KNN-1 has no surface in some frame, so there is nothing to be as good as: set target.chamfer_l1_mm."]
+    if possible is None:
         nearest = min(rows, key=lambda row: float(getattr(row, target.metric)), default=None)
         best = "" if nearest is None else f"the best has {_millimetres(getattr(nearest, target.metric))} with {nearest.decoder_parameters:,} parameters"
-        sentences = [f"{done}; none is as good as {target.words()}: {best or 'no job finished'}."]
+        return [f"{done}; none is as good as {target.words()}: {best or 'no job finished'}."]
+    if smallest is None:
+        sentences = [f"{done}; of none that is as good as {target.words()} every seed finished."]
     else:
         sentences = [
             f"{done}. The smallest decoder as good as {target.words()} has {smallest.decoder_parameters:,} parameters, {smallest.query_bytes / 1e3:.1f} kB "
             f"with the latents: {smallest.chamfer_l1_mm_mean:.3f} mm mean, {smallest.chamfer_l1_mm_worst:.3f} mm in the worst frame.",
-            f"Train it again: {command_of(smallest.overrides)}",
+            f"Train it again: {command_of(smallest.overrides, smallest.threads)}",
         ]
-    if bend is not None:
-        sentences.append(
-            f"The knee is at {bend.decoder_parameters:,} parameters ({_millimetres(getattr(bend, target.metric))}): from there on more parameters buy less. "
-            f"{command_of(bend.overrides)}"
-        )
+    if possible != smallest:
+        asked = sum(job.setting == possible.setting for job in jobs)
+        name = short_setting(possible.setting, shared_overrides(jobs))
+        sentences.append(f"{name} may do with {possible.decoder_parameters:,} parameters: {possible.seeds} of {asked} seeds finished.")
+    return sentences
+
+
+def _mixtures(results: Sequence[dict[str, Any]]) -> list[str]:
+    """What makes results differ though their settings do not: other versions, and other files of the same dataset."""
+    sentences = []
     versions = {f"{name} {version}" for result in results for name, version in result.get("versions", {}).items()}
     several = sorted(one for one in versions if sum(other.split()[0] == one.split()[0] for other in versions) > 1)
     if several:
         sentences.append(f"The jobs ran with different versions, and may differ for that alone: {', '.join(several)}.")
-    shared = shared_overrides(jobs)
-    return [
-        f"{job.status}: {short_setting(job.overrides, shared)}: {job.reason}" for job in jobs if job.result is None and job.status != NOT_STARTED
-    ] + sentences
+    files: dict[str, set[str]] = {}
+    for result in results:
+        if "files" in result:
+            files.setdefault(json.dumps(result["settings"]["dataset"], sort_keys=True), set()).add(result["files"]["distances"])
+    remade = sorted(name for names in files.values() if len(names) > 1 for name in names)
+    if remade:
+        sentences.append(f"The jobs were trained on different files of the same dataset, and may differ for that alone: {', '.join(remade)}.")
+    return sentences
 
 
-def command_of(overrides: Sequence[str]) -> str:
-    """The command line that trains a job alone."""
-    return shlex.join(["python", "train.py", *overrides_alone(overrides)])
+def command_of(overrides: Sequence[str], threads: int | None = None) -> str:
+    """The command line that trains a job alone, on as many threads as it had: on others a training of so many seconds takes other steps."""
+    given = [] if threads is None or any(override.startswith("trainer.threads=") for override in overrides) else [f"trainer.threads={threads}"]
+    return shlex.join(["python", "train.py", *overrides_alone(overrides), *given])
 
 
 def write_tables(sweep_folder: Path, jobs: Sequence[Job], target: Target) -> None:
@@ -102,12 +131,12 @@ def write_tables(sweep_folder: Path, jobs: Sequence[Job], target: Target) -> Non
             values = ["" if job.result is None else job.result.get(name, "") for name in JOB_COLUMNS]
             writer.writerow([" ".join(job.overrides), job.status, job.reason, *values])
     rows = rows_of(jobs, target)
-    smallest, bend = smallest_within(rows), knee_of(rows, target)
+    smallest, bend = smallest_settled(jobs, target), knee_of(rows, target)
     contents = {
         "target": asdict(target),
-        "rows": [asdict(row) | {"command": command_of(row.overrides)} for row in rows],
-        "smallest": None if smallest is None else command_of(smallest.overrides),
-        "knee": None if bend is None else command_of(bend.overrides),
+        "rows": [asdict(row) | {"command": command_of(row.overrides, row.threads)} for row in rows],
+        "smallest": None if smallest is None else command_of(smallest.overrides, smallest.threads),
+        "knee": None if bend is None else command_of(bend.overrides, bend.threads),
     }
     write_json(sweep_folder / "sweep.json", contents)
 

@@ -16,6 +16,7 @@ from sdfnet.evaluation.metrics import SurfaceErrors
 
 JOB_FILE, RESULT_FILE, PLAN_FILE = "job.json", "result.json", "planned.json"
 FINISHED, FAILED, LEFT_OUT, RUNNING, NOT_STARTED = "finished", "failed", "left out", "running", "not started"
+WITHOUT_EFFECT = ("hydra.", "hydra/", "data_folder=", "target.")  # overrides that change neither a job nor its result
 FRAMES = ("worst", "mean")
 JOB_COLUMNS = (
     "decoder_parameters", "encoder_parameters", "query_bytes", "chamfer_l1_mm_mean", "chamfer_l1_mm_worst", "knn1_chamfer_l1_mm_mean",
@@ -77,8 +78,8 @@ class Job:
 
     @property
     def setting(self) -> tuple[str, ...]:
-        """Its overrides but for the seed: what jobs of one row share."""
-        return tuple(override for override in self.overrides if not override.startswith("seed="))
+        """What jobs of one row share: its overrides without the seed and without those that change no result."""
+        return tuple(override for override in self.overrides if not override.startswith(("seed=", *WITHOUT_EFFECT)))
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,7 @@ class Row:
     chamfer_l1_mm_worst: float
     chamfer_l1_mm_worst_range: tuple[float, float]
     train_seconds: float
+    threads: int | None  # of PyTorch, of the job of these overrides; none of a result that does not say it
     is_within_target: bool  # by the median over the seeds, never by the best of them
 
 
@@ -107,9 +109,14 @@ def write_plan(sweep_folder: Path, planned: Mapping[str, Sequence[str]] | None) 
     write_json(sweep_folder / PLAN_FILE, planned)
 
 
+def read_plan(sweep_folder: Path) -> dict[str, Any] | None:
+    """The overrides of the jobs that a sweep asks for, by the folder's name; none of a sweeper that chooses as it goes."""
+    return _contents(sweep_folder / PLAN_FILE)
+
+
 def read_jobs(sweep_folder: Path) -> list[Job]:
     """Every job that a sweep asks for, in its order; without a plan all that were started, in the order of their folders' names."""
-    planned = _contents(sweep_folder / PLAN_FILE)
+    planned = read_plan(sweep_folder)
     if planned is None:
         planned = {path.parent.name: [] for path in sorted(sweep_folder.glob(f"*/{JOB_FILE}"))}
     return [read_job(sweep_folder / name, overrides) for name, overrides in planned.items()]
@@ -152,23 +159,18 @@ def shared_overrides(jobs: Sequence[Job]) -> set[str]:
 
 def short_setting(overrides: Sequence[str], shared: set[str]) -> str:
     """The overrides that not every job has, for a table or a sentence."""
-    return " ".join(override for override in overrides if override not in shared) or "(as it comes)"
+    return " ".join(override for override in overrides if override not in shared and not override.startswith(WITHOUT_EFFECT)) or "(as it comes)"
 
 
 def overrides_alone(overrides: Sequence[str]) -> tuple[str, ...]:
     """The overrides that train a job alone, also where they name a page that makes a sweep of every command."""
-    return (*overrides, *(["hydra.mode=RUN"] if any(one.startswith("sweep=") for one in overrides) else []))
+    return (*overrides, *(["hydra.mode=RUN"] if any(one.lstrip("+~").startswith("sweep=") for one in overrides) else []))
 
 
 def smallest_settled(jobs: Sequence[Job], target: Target) -> Row | None:
-    """The smallest row within the target of which every seed has finished: one lucky seed settles nothing."""
+    """The smallest row within the target of which every seed has finished, of equal ones the more accurate: one lucky seed settles nothing."""
     unsettled = {job.setting for job in jobs if job.result is None}
-    return smallest_within([row for row in rows_of(jobs, target) if row.setting not in unsettled])
-
-
-def smallest_within(rows: Sequence[Row]) -> Row | None:
-    """The row of the smallest decoder among those within the target; of equal ones the more accurate."""
-    return next((row for row in rows if row.is_within_target), None)
+    return next((row for row in rows_of(jobs, target) if row.is_within_target and row.setting not in unsettled), None)
 
 
 def knee_of(rows: Sequence[Row], target: Target) -> Row | None:
@@ -183,9 +185,10 @@ def _row(setting: tuple[str, ...], seeds: Sequence[Job], target: Target) -> Row:
     errors = {name: [math.inf if result[name] is None else float(result[name]) for result in results] for name in ("chamfer_l1_mm_mean", "chamfer_l1_mm_worst")}
     allowed = [most for most in map(target.allowed, results) if most is not None]
     by_error = sorted(range(len(results)), key=lambda place: errors[target.metric][place])
+    middle = by_error[(len(by_error) - 1) // 2]
     return Row(
         setting=setting,
-        overrides=seeds[by_error[(len(by_error) - 1) // 2]].overrides,
+        overrides=seeds[middle].overrides,
         seeds=len(results),
         decoder_parameters=int(results[0]["decoder_parameters"]),
         query_bytes=int(results[0]["query_bytes"]),
@@ -194,6 +197,7 @@ def _row(setting: tuple[str, ...], seeds: Sequence[Job], target: Target) -> Row:
         chamfer_l1_mm_worst=statistics.median(errors["chamfer_l1_mm_worst"]),
         chamfer_l1_mm_worst_range=(min(errors["chamfer_l1_mm_worst"]), max(errors["chamfer_l1_mm_worst"])),
         train_seconds=statistics.median(float(result["train_seconds"]) for result in results),
+        threads=results[middle].get("threads"),
         is_within_target=len(allowed) == len(results) and statistics.median(errors[target.metric]) <= statistics.median(allowed),
     )
 
