@@ -1,9 +1,11 @@
 """Every page in conf/ composes, and says what it should."""
 
 import re
+import shlex
 
 import pytest
 import torch
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 from sdfnet.cli.entry import SCHEMAS, register
@@ -51,6 +53,14 @@ def test_every_yaml_is_covered_by_the_commands() -> None:
     pages = {path.relative_to(shipped("conf")).with_suffix("").as_posix() for path in shipped("conf").rglob("*.yaml")}
     covered = {command for command, _ in COMMANDS} | {re.sub(r"=\[?|\]", "/", override).rstrip("/") for _, overrides in COMMANDS for override in overrides}
     assert pages <= covered
+
+
+def test_every_command_in_the_comments_of_the_pages_can_be_typed() -> None:
+    comments = [line for path in shipped("conf").rglob("*.yaml") for line in path.read_text().splitlines() if line.startswith("#")]
+    commands = [words for line in comments for words in re.findall(r"python \w+\.py((?: \S+)*)", line)]  # what it does stands behind several spaces
+    assert len(commands) > 20
+    for words in commands:
+        OverridesParser.create().parse_overrides([word for word in shlex.split(words) if word != "-m"])
 
 
 def test_the_papers_experiment_has_the_papers_numbers() -> None:

@@ -12,10 +12,21 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
+import joblib
 import pytest
-from omegaconf import DictConfig
+import torch
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
 
-from sdfnet.cli import sweep
+from sdfnet.cli import entry, sweep, sweep_process
+from sdfnet.cli.earlier_run import quoted
+from sdfnet.cli.settings import TrainerSettings, TrainSettings
+from sdfnet.cli.sweep_plan import folder_name, require_objectives
+from sdfnet.cost.sweep_table import Target, read_jobs, unplanned, write_plan
+from sdfnet.data.prepare import PreparedFiles
+from sdfnet.errors import ConfigurationError
+from sdfnet.models.networks import RECORD
+from tests.runs.resumable_run import BALL
 
 TINY = [
     "experiment=smoke", "dataset.scene.geometry.cells=4", "training.epochs=6", "batch.steps_per_epoch=40",
@@ -70,7 +81,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The folders of the jobs that were trained, of which only the results are made: the wider the better, 13 raises and 14 has no surface."""
     folders: list[str] = []
 
-    def train(folder: Path, overrides: list[str], threads: int, goes_on: bool) -> None:
+    def train(folder: Path, overrides: list[str], threads: int) -> None:
         folders.append(folder.name)
         (width,) = [int(override.split("=")[1]) for override in overrides if override.startswith("model.width=")]
         if width == 13:
@@ -79,7 +90,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         knn1 = {"knn1_chamfer_l1_mm_mean": 0.3, "knn1_chamfer_l1_mm_worst": 0.3}
         (folder / "result.json").write_text(json.dumps({"decoder_parameters": width**2, "query_bytes": width, "train_seconds": 1.0} | errors | knn1))
 
-    monkeypatch.setattr(sweep, "_train_in_a_process", train)
+    monkeypatch.setattr(sweep, "train_in_a_process", train)
     return folders
 
 
@@ -87,9 +98,10 @@ def test_error_of_any_kind_is_a_row_with_its_traceback_in_the_log_and_the_other_
     command: Callable[..., None], trained: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="1"):
-        command("train", *TINY, "model.width=13,16", "-m")
+        command("train", *TINY, "model.width=0,13,16", "-m")
     assert len(trained) == 2
-    rows = jobs_of("experiment=smoke")
+    rows = jobs_of("experiment-smoke")
+    assert (rows["model.width=0"]["status"], rows["model.width=0"]["reason"]) == ("failed", "model.width must be at least 1, found 0")
     assert (rows["model.width=13"]["status"], rows["model.width=13"]["reason"]) == ("failed", "OSError: no room for a process")
     assert rows["model.width=16"]["status"] == "finished"
     (log,) = Path("outputs/sweep").rglob("training.log")
@@ -108,7 +120,7 @@ def test_table_is_written_also_when_what_runs_the_jobs_fails(command: Callable[.
     monkeypatch.setattr(sweep, "run_job", fail_after_the_first)
     with pytest.raises(SystemExit):
         command("train", *TINY, "model.width=12,16", "-m")
-    rows = jobs_of("experiment=smoke")
+    rows = jobs_of("experiment-smoke")
     assert [rows[f"model.width={width}"]["status"] for width in (12, 16)] == ["finished", "not started"]
 
 
@@ -145,35 +157,153 @@ def test_sweeper_is_given_every_objective_or_none(
     assert returned == [minimised]
 
 
-def test_checkpoints_of_other_settings_are_gone_before_the_job_is_called_its_own(
-    command: Callable[..., None], trained: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words = [*TINY, "model.width=8", "hydra.sweep.dir=sweep", "-m"]
-    command("train", *words)
-    (job,) = Path("sweep").glob("*/job.json")
-    checkpoints = [job.parent / "checkpoints" / name for name in ("latest.ckpt", "last.ckpt")]
-    checkpoints[0].parent.mkdir()
-    for path in checkpoints:
-        path.touch()
+@pytest.fixture
+def start(trained: list[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+    """`start(seed)` runs a job if needed and returns its folder; its data are the files t.h5 and d.h5."""
+    monkeypatch.setattr(sweep, "prepare", lambda dataset, folder: PreparedFiles(folder / "m.vtu", folder / "t.h5", folder / "d.h5"))
+
+    def run(seed: int = 0) -> Path:
+        folder = Path("sweep/job")
+        folder.mkdir(parents=True, exist_ok=True)
+        sweep._run_if_needed(TrainSettings(BALL, seed=seed), ["model.width=8"], folder, 1)
+        return folder
+
+    return run
+
+
+def stopped(folder: Path, name: str, **record: str) -> Path:
+    """The checkpoint of a job, of certain files; the job was stopped."""
+    (folder / "checkpoints").mkdir(exist_ok=True)
+    torch.save({RECORD: record}, folder / "checkpoints" / name)
+    job = folder / "job.json"
     job.write_text(job.read_text().replace('"finished"', '"running"'))
-    command("train", *words)
-    assert all(path.is_file() for path in checkpoints)  # of the same settings: the job goes on
-    job.write_text(job.read_text().replace('"configuration": "', '"configuration": "other'))
+    return folder / "checkpoints" / name
 
-    def killed(*arguments: object, **named: object) -> None:
-        raise KeyboardInterrupt
 
-    monkeypatch.setattr(sweep, "_train_in_a_process", killed)
-    with pytest.raises(KeyboardInterrupt):
-        command("train", *words)
-    assert json.loads(job.read_text())["status"] == "running"
-    assert not any(path.exists() for path in checkpoints)
+def test_a_job_goes_on_from_its_end_or_its_newest_checkpoint_and_its_reason_is_of_this_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "echo")  # says what would be run
+    assert "resume=" not in str(sweep_process.train_in_a_process(tmp_path, [], 1))
+    for checkpoint in (tmp_path / "checkpoints" / "latest.ckpt", tmp_path / "checkpoints" / "last.ckpt"):
+        checkpoint.parent.mkdir(exist_ok=True)
+        checkpoint.touch()
+        reason = sweep_process.train_in_a_process(tmp_path, [], 1)
+        assert reason is not None
+        assert reason.startswith(f"goes on from {checkpoint} -c ")
+        assert reason.endswith(f" resume={checkpoint}")
+
+
+def test_a_network_of_other_settings_is_kept_aside_and_the_job_is_trained_anew(
+    start: Callable[..., Path], trained: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    stopped(start(), "last.ckpt", trajectory="t.h5", distances="d.h5")
+    checkpoint = start() / "checkpoints" / "last.ckpt"
+    assert checkpoint.is_file()  # the job goes on
+    for place in (1, 2):
+        start(seed=place)
+        assert "job: its settings differ from those that made it: trained anew" in capfd.readouterr().out
+        assert Path(f"sweep/earlier/job.{place}/result.json").is_file()
+    assert not checkpoint.exists()
+    assert len(trained) == 4
+    assert (len(read_jobs(Path("sweep"))), unplanned(Path("sweep"))) == (1, [])  # what lies aside is no job
+
+
+def test_a_job_whose_checkpoint_is_broken_or_of_data_that_were_made_again_begins_anew(
+    start: Callable[..., Path], trained: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    stopped(start(), "latest.ckpt", trajectory="t.h5", distances="old.h5")
+    stopped(start(), "latest.ckpt").write_bytes(b"half")
+    assert "its data were made again since: t.h5, old.h5 then, t.h5, d.h5 now: trained anew" in capfd.readouterr().out
+    start()
+    assert "is not a whole checkpoint of sdfnet" in capfd.readouterr().out
+    assert (len(trained), len(list(Path("sweep/earlier").iterdir()))) == (3, 2)
+
+
+def test_larger_networks_than_one_that_is_good_enough_are_left_out(command: Callable[..., None], trained: list[str]) -> None:
+    command("train", *TINY, "model.width=8,16", "target.skip_larger=true", "-m")
+    rows = jobs_of("experiment-smoke")
+    assert [row["status"] for row in rows.values()] == ["finished", "left out"]
+    assert len(trained) == 1
+
+
+def test_the_cores_are_divided_between_the_jobs_that_can_run_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(joblib, "cpu_count", lambda: 8)
+    write_plan(tmp_path, {"a": [], "b": []})
+    assert [sweep._jobs_at_once(asked, tmp_path) for asked in (1, 4, -1)] == [1, 2, 2]
+    write_plan(tmp_path, None)
+    assert [sweep._jobs_at_once(asked, tmp_path) for asked in (1, 4, -1)] == [1, 4, 8]
+    given: list[int] = []
+    monkeypatch.setattr(sweep, "train_in_a_process", lambda folder, overrides, threads: given.append(threads))
+    for threads in (None, 3):
+        sweep._run_if_needed(TrainSettings(BALL, trainer=TrainerSettings(threads=threads)), [], tmp_path, 2)
+    assert given == [4, 3]
+
+
+def test_no_folder_needs_quotes_and_no_two_settings_share_one() -> None:
+    settings = [
+        ["sweep=min_size"],
+        ["seed=-1"],
+        ["x=1,2"],
+        ["x=[1,2]"],
+        ["x=1-2"],
+        ["x=1=2"],
+        ["x=1e-3"],
+        ["~x"],
+        ["x='ä b'"],
+        ["x=[[1],2]"],
+        ["a=1", "b=" + 200 * "2"],
+        [],
+    ]
+    names = [folder_name(overrides) for overrides in settings]
+    assert names[0] == "sweep-min_size"
+    assert len(set(names)) == len(names)
+    for name in names:
+        assert OverridesParser.create().parse_override(f"checkpoint=outputs/sweep/{name}/last.ckpt").value() == f"outputs/sweep/{name}/last.ckpt"
+
+
+@pytest.mark.parametrize("path", ["outputs/a/last.ckpt", "a=1,2/last.ckpt", "it's/last.ckpt", "1", "null", "a b/c", "/x[1]/y"])
+def test_any_path_can_be_the_value_of_an_override(path: str) -> None:
+    assert OverridesParser.create().parse_override(f"resume={quoted(Path(path))}").value() == path
+    assert ("'" in quoted(Path(path))) == (path != "outputs/a/last.ckpt")
+
+
+def test_what_is_printed_of_a_stopped_run_can_be_typed() -> None:
+    checkpoint = Path("it's a=1,2/checkpoints/last.ckpt")
+    checkpoint.parent.mkdir(parents=True)
+    checkpoint.touch()
+    said = entry._how_to_go_on("train", Path("it's a=1,2"), [])
+    (override,) = shlex.split(said.removeprefix("go on with: python train.py "))
+    assert OverridesParser.create().parse_override(override).value() == str(checkpoint)
+
+
+def test_a_stopped_trial_of_an_earlier_search_fails_no_later_search(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for name, status in (("a", "running"), ("b", "left out")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "job.json").write_text(json.dumps({"overrides": [f"x={name}"], "configuration": "", "status": status, "reason": ""}))
+    assert not sweep.finish(tmp_path, Target())
+    assert sweep.finish(tmp_path, Target(), [tmp_path / "a"])
+    assert "the same command tries more settings" in capfd.readouterr().out
+
+
+def test_a_sweeper_is_told_a_direction_for_every_objective() -> None:
+    composed = OmegaConf.create({"hydra": {"sweeper": {"direction": ["minimize", "minimize"]}}})
+    with pytest.raises(ConfigurationError, match=r"as many entries as hydra\.sweeper\.direction, 2; found 1: chamfer_l1_mm_mean"):
+        require_objectives(composed, Target())
+    require_objectives(composed, Target(objectives=("chamfer_l1_mm_mean", "decoder_parameters")))
+    require_objectives(OmegaConf.create({"hydra": {"sweeper": {"direction": "minimize"}}}), Target())
+
+
+def test_the_reason_of_a_job_is_of_this_attempt_and_without_hydras_words() -> None:
+    log = "Epoch 1\nError executing job with overrides: ['x=1']\nthe message\n\nSet the environment variable HYDRA_FULL_ERROR=1 for a complete stack trace.\n"
+    assert sweep_process._reason(1, log) == "the message"
+    assert sweep_process._reason(130, log) == "told to stop by SIGINT"
+    assert sweep_process._reason(143, log) == "told to stop by SIGTERM"
+    assert sweep_process._reason(3, "") == "exit code 3 without a word"
 
 
 def test_stopped_sweep_prints_the_command_that_was_typed(
     command: Callable[..., None], trained: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sweep, "_train_in_a_process", lambda *arguments, **named: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr(sweep, "train_in_a_process", lambda *arguments, **named: os.kill(os.getpid(), signal.SIGINT))
     with pytest.raises(SystemExit, match="130"):
         command("train", *TINY, "model.width=8,12", "-m")
     out, err = capfd.readouterr()
@@ -181,18 +311,18 @@ def test_stopped_sweep_prints_the_command_that_was_typed(
     assert "running: model.width=8: stopped, or still under way" in out
 
 
-@pytest.mark.parametrize(("sweep_process", "parent", "ends"), [("self", 1, False), ("1", 1, False), ("999999999", 1, True), (None, 1, False)])
+@pytest.mark.parametrize(("works_for", "parent", "ends"), [("self", 1, False), ("1", 1, False), ("999999999", 1, True), (None, 1, False)])
 def test_only_a_launchers_process_ends_with_the_sweep_that_it_works_for(
-    monkeypatch: pytest.MonkeyPatch, sweep_process: str | None, parent: int, ends: bool
+    monkeypatch: pytest.MonkeyPatch, works_for: str | None, parent: int, ends: bool
 ) -> None:
-    monkeypatch.delenv(sweep.SWEEP_PROCESS, raising=False)
-    if sweep_process is not None:
-        monkeypatch.setenv(sweep.SWEEP_PROCESS, str(os.getpid()) if sweep_process == "self" else sweep_process)
+    monkeypatch.delenv(sweep_process.SWEEP_PROCESS, raising=False)
+    if works_for is not None:
+        monkeypatch.setenv(sweep_process.SWEEP_PROCESS, str(os.getpid()) if works_for == "self" else works_for)
     codes: list[int] = []
     monkeypatch.setattr(os, "getppid", lambda: parent)  # 1 is who adopts a process whose parent is gone
     monkeypatch.setattr(os, "_exit", codes.append)
     with subprocess.Popen(["sleep", "60"]) as job:
-        sweep._wait(job)
+        sweep_process._wait(job)
         assert (codes, job.poll() is not None) == (([1], True) if ends else ([], False))
         job.kill()
 
@@ -201,12 +331,15 @@ def test_processes_of_a_sweep_know_the_plugins_and_a_job_that_fails_is_a_row_wit
     Path("datasets").mkdir()
     Path("datasets/pulled.py").write_text(PLUGIN)
     words = [word for word in TINY if "cells" not in word]
-    done = subprocess.run([*SWEEP[:6], *words, "dataset=pulled", "batch.frames_per_step=4", "model.width=16,0"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*SWEEP[:6], *words, "dataset=pulled", "batch.frames_per_step=4", "optimizer.decoder_rate=0.01,1e30"], capture_output=True, text=True, check=False
+    )
     assert (done.returncode, "Traceback" in done.stdout + done.stderr) == (1, False), done.stdout + done.stderr
-    assert "model.width=0: model.width must be at least 1" in done.stdout
     with next(Path("outputs/sweep").glob("*/jobs.csv")).open() as file:
         failed, finished = sorted(csv.DictReader(file), key=lambda row: row["status"])
-    assert (failed["status"], failed["reason"]) == ("failed", "model.width must be at least 1, found 0")
+    assert failed["status"] == "failed"
+    assert failed["reason"].startswith("epoch 0, step")
+    assert ": epoch 0, step" in done.stdout
     assert finished["status"] == "finished"
     assert float(finished["chamfer_l1_mm_mean"]) > 0
     (result,) = Path("outputs/sweep").rglob("result.json")
@@ -219,7 +352,7 @@ def test_sweep_killed_at_some_moment_and_started_again_ends_with_the_same_table(
     numbers = ("status", "decoder_parameters", "chamfer_l1_mm_mean", "chamfer_l1_mm_worst", "hausdorff_mm_worst", "normal_degrees_mean")
     whole = run_sweep("data_folder=data", *words)
     assert whole.returncode == 0, whole.stdout + whole.stderr
-    expected = {job: [row[name] for name in numbers] for job, row in jobs_of("experiment=smoke").items()}
+    expected = {job: [row[name] for name in numbers] for job, row in jobs_of("experiment-smoke").items()}
     os.rename("outputs", "first_outputs")
     killed = subprocess.Popen([*SWEEP, "data_folder=data", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
@@ -235,7 +368,7 @@ def test_sweep_killed_at_some_moment_and_started_again_ends_with_the_same_table(
     assert left == []  # what the sweep had started has ended with it
     again = run_sweep("data_folder=data", *words)
     assert again.returncode == 0, again.stdout + again.stderr
-    assert {job: [row[name] for name in numbers] for job, row in jobs_of("experiment=smoke").items()} == expected
+    assert {job: [row[name] for name in numbers] for job, row in jobs_of("experiment-smoke").items()} == expected
     logs = "".join(path.read_text() for path in Path("outputs/sweep").rglob("training.log"))
     assert "goes on from outputs/sweep" in logs
 
@@ -252,6 +385,6 @@ def test_killed_job_is_a_row_and_the_others_go_on() -> None:
     os.kill(job, signal.SIGKILL)
     out, _ = sweep.communicate()
     assert sweep.returncode == 1
-    rows = jobs_of("experiment=smoke")
+    rows = jobs_of("experiment-smoke")
     assert [(row["status"], row["reason"]) for row in rows.values()] == [("failed", "killed by SIGKILL: out of memory?"), ("finished", "")]
     assert "failed: model.width=12: killed by SIGKILL: out of memory?" in out

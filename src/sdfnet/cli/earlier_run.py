@@ -1,6 +1,7 @@
-"""The settings of an earlier run, read beside its checkpoint, so that nobody has to type them again."""
+"""An earlier run: its last checkpoint, and its settings, read beside that so that nobody has to type them again."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from hydra._internal.utils import get_args_parser
 from omegaconf import OmegaConf
 
 from sdfnet.cli.screen import screen
+from sdfnet.cost.sweep_table import overrides_alone
 
 
 def typed() -> list[str]:
@@ -31,9 +33,8 @@ def take_over(name: str) -> None:
 
 
 def typed_for(settings: Path) -> list[str]:
-    """What was typed for a run; `settings` is its folder .hydra. A page that makes a sweep of every command must not make one of a job that goes on."""
-    lines = list(OmegaConf.load(settings / "overrides.yaml"))
-    return [*lines, *(["hydra.mode=RUN"] if "sweep" in map(key_of, lines) else [])]
+    """What was typed for a run, to be given to one run alone; `settings` is its folder .hydra."""
+    return list(overrides_alone(list(OmegaConf.load(settings / "overrides.yaml"))))
 
 
 def measured_with(settings: Path) -> list[str]:
@@ -41,6 +42,18 @@ def measured_with(settings: Path) -> list[str]:
     run = OmegaConf.to_container(OmegaConf.load(settings / "config.yaml"))
     assert isinstance(run, dict)
     return [f"evaluation.{name}={json.dumps(value)}" for name, value in run["evaluation"].items()] + [f"data_folder={json.dumps(run['data_folder'])}"]
+
+
+def last_checkpoint(folder: Path) -> Path | None:
+    """The checkpoint from which the run in a folder goes on: of its end, else the newest on the way."""
+    paths = (folder / "checkpoints" / name for name in ("last.ckpt", "latest.ckpt"))
+    return next((path for path in paths if path.is_file()), None)
+
+
+def quoted(path: Path) -> str:
+    """A path as the value of an override; in quotes where Hydra would read signs such as `=` and `,` as its own."""
+    text = str(path)
+    return text if re.fullmatch(r"[\w.+-]*/[\w./+-]*", text, re.ASCII) else "'" + text.replace("'", r"\'") + "'"
 
 
 def key_of(override: str) -> str:

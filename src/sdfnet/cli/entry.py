@@ -18,7 +18,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from sdfnet.cli.earlier_run import take_over, typed
+from sdfnet.cli.earlier_run import last_checkpoint, quoted, take_over, typed
 from sdfnet.cli.mistakes import check_overrides, check_words, stored, with_nearest
 from sdfnet.cli.settings import CostSettings, EvaluateSettings, PrepareSettings, TrainSettings, VerifySettings
 from sdfnet.errors import SdfnetError
@@ -136,10 +136,8 @@ def _say_stopped(name: str, cure: str) -> None:
 
 def _how_to_go_on(name: str, output: Path, asked: list[str]) -> str:
     """The command that continues a run that was stopped; `asked` is what was typed for it."""
-    for checkpoint in ("last.ckpt", "latest.ckpt"):
-        if (output / "checkpoints" / checkpoint).is_file():
-            return f"go on with: python train.py resume={output / 'checkpoints' / checkpoint}"
-    return _same_again(name, asked)
+    checkpoint = last_checkpoint(output)
+    return _same_again(name, asked) if checkpoint is None else f"go on with: {shlex.join(['python', 'train.py', f'resume={quoted(checkpoint)}'])}"
 
 
 def _same_again(name: str, asked: list[str]) -> str:

@@ -10,14 +10,14 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from sdfnet.cost.sweep_table import WITHOUT_EFFECT, Target
 from sdfnet.errors import ConfigurationError
 from sdfnet.plugins import shipped
 
 LONGEST_NAME = 100  # letters of a folder's name; file systems allow 255 bytes
-NOT_IN_NAMES = ("hydra.", "hydra/", "data_folder=", "target.")  # overrides that change neither a job nor its result
 
 
 def folder_of_sweep(composed: DictConfig, overrides: Sequence[str]) -> Path:
@@ -45,16 +45,24 @@ def planned_jobs(composed: DictConfig, overrides: Sequence[str]) -> list[list[st
     return jobs
 
 
+def require_objectives(composed: DictConfig, target: Target) -> None:
+    """Raise ConfigurationError when a sweeper that is told in which direction each objective is better is given more or fewer objectives."""
+    direction = composed.hydra.sweeper.get("direction")
+    wanted = len(direction) if OmegaConf.is_list(direction) else 1
+    if direction is not None and wanted != len(target.objectives):
+        raise ConfigurationError(
+            f"target.objectives must name as many entries as hydra.sweeper.direction, {wanted}; found {len(target.objectives)}: {', '.join(target.objectives)}"
+        )
+
+
 def folder_name(overrides: Sequence[str]) -> str:
-    """The overrides as the name of a folder; of an override given twice the last one, as Hydra does; cut and told apart by a hash where they must be."""
-    last = {override.split("=", 1)[0]: override for override in overrides if not override.startswith(NOT_IN_NAMES)}
+    """The overrides as the name of a folder that Hydra takes without quotes; of an override given twice the last one, as Hydra does.
+
+    Each sign that it cannot hold becomes `-`. Where that could give two settings one name, or the name is too long, a hash tells them apart.
+    """
+    last = {override.split("=", 1)[0]: override for override in overrides if not override.startswith(WITHOUT_EFFECT)}
     asked = "_".join(last.values()) or "defaults"
-    name = re.sub(r"[^\w.,=+-]", "-", asked)
-    if name == asked and len(name) <= LONGEST_NAME:
+    name = re.sub(r"[^\w.+-]", "-", asked, flags=re.ASCII)
+    if name == asked.replace("=", "-") and "-" not in asked and len(name) <= LONGEST_NAME:
         return name
     return f"{name[: LONGEST_NAME - 8]}-{hashlib.sha256(asked.encode()).hexdigest()[:7]}"
-
-
-def quoted(path: Path) -> str:
-    """A path as the value of an override: folder names hold `=` and `,`, which Hydra would read as its own."""
-    return "'" + str(path).replace("'", r"\'") + "'"
