@@ -142,3 +142,7 @@ def test_timing_is_the_median_with_its_spread_and_can_be_shared_out() -> None:
 
 def test_durations_are_told_in_the_unit_that_suits_them() -> None:
     assert [duration_text(seconds) for seconds in (90.0, 0.0123, 4.5e-6, 2e-9)] == ["90 s", "12.3 ms", "4.5 us", "2 ns"]
+
+
+def test_large_factors_are_written_out() -> None:
+    assert "Along the front a tenth of the error costs 34,000 times the time." in findings_of(study("training", point(1.0, 1e-3), point(0.1, 34.2)))

@@ -19,7 +19,7 @@ def _quiet() -> None:
 
 
 def test_each_budget_is_a_point_and_the_users_own_setting_the_default(ball_family: ShapeFamily) -> None:
-    budgets = (Budget(8, 0.3), Budget(None, 0.3), Budget())
+    budgets = (Budget(8, 0.3), Budget(None, 0.3), Budget(is_default=True))
     study, trained = training_study(ball_family, MODEL, TRAINING, OPTIMIZER, "32-true", budgets)
     assert [(point.method, point.setting, point.is_default) for point in study.points] == [
         ("width 8", "0.3 s", False),
@@ -44,13 +44,13 @@ def test_training_ends_soon_after_its_seconds_and_its_rates_have_fallen_to_nothi
 
 
 def test_seconds_that_the_user_gave_are_said_beside_the_epochs(ball_family: ShapeFamily) -> None:
-    study, _ = training_study(ball_family, MODEL, replace(TRAINING, seconds=0.05), OPTIMIZER, "32-true", (Budget(), Budget(None, 0.1)))
+    study, _ = training_study(ball_family, MODEL, replace(TRAINING, seconds=0.05), OPTIMIZER, "32-true", (Budget(is_default=True), Budget(None, 0.1)))
     assert [point.setting for point in study.points] == ["4 epochs, 0.05 s at most", "0.1 s"]
 
 
 def test_more_steps_lower_the_error(ball_family: ShapeFamily) -> None:
-    study, _ = training_study(ball_family, MODEL, replace(TRAINING, epochs=1), OPTIMIZER, "32-true", (Budget(),))
-    longer, _ = training_study(ball_family, MODEL, replace(TRAINING, epochs=8), OPTIMIZER, "32-true", (Budget(),))
+    study, _ = training_study(ball_family, MODEL, replace(TRAINING, epochs=1), OPTIMIZER, "32-true", (Budget(is_default=True),))
+    longer, _ = training_study(ball_family, MODEL, replace(TRAINING, epochs=8), OPTIMIZER, "32-true", (Budget(is_default=True),))
     assert longer.points[0].pair[0] < 0.8 * study.points[0].pair[0]
 
 
@@ -58,17 +58,23 @@ def test_each_budget_validates_as_train_py_does(ball_family: ShapeFamily, monkey
     """The paper's second plateau hears of nothing but the validation loss."""
     epochs: list[int] = []
     monkeypatch.setattr(SdfTraining, "on_validation_epoch_end", lambda module: epochs.append(module.current_epoch))
-    training_study(ball_family, MODEL, replace(TRAINING, validate_every=2), OPTIMIZER, "32-true", (Budget(),))
+    training_study(ball_family, MODEL, replace(TRAINING, validate_every=2), OPTIMIZER, "32-true", (Budget(is_default=True),))
     assert epochs == [1, 3]
 
 
-def test_quick_study_has_the_users_own_setting() -> None:
-    assert Budget() in QUICK
-    assert Budget() in FULL
+def test_the_users_own_training_is_whole_and_in_the_quick_study_ends_early_with_its_own_epochs(ball_family: ShapeFamily) -> None:
+    assert Budget(is_default=True) in FULL
+    (own,) = [budget for budget in QUICK if budget.is_default]
+    study, _ = training_study(ball_family, MODEL, TRAINING, OPTIMIZER, "32-true", (own, replace(own, seconds=0.05)))
+    assert [(point.setting, point.overrides, point.is_default) for point in study.points] == [
+        ("4 epochs, 40 s at most", ("training.seconds=40",), True),
+        ("4 epochs, 0.05 s at most", ("training.seconds=0.05",), True),
+    ]
+    assert study.points[0].counts["steps"] == 4 * 40
 
 
 def test_run_that_diverges_is_a_failed_point(ball_family: ShapeFamily) -> None:
-    study, trained = training_study(ball_family, MODEL, TRAINING, replace(OPTIMIZER, decoder_rate=1e30), "32-true", (Budget(),))
+    study, trained = training_study(ball_family, MODEL, TRAINING, replace(OPTIMIZER, decoder_rate=1e30), "32-true", (Budget(is_default=True),))
     assert trained == []
     assert study.points[0].failure is not None
     assert "not finite" in study.points[0].failure

@@ -116,7 +116,7 @@ class CostSettings:
     training: TrainingSettings = field(default_factory=TrainingSettings)
     precision: str = "auto"  # of trainings, as trainer.precision of train.py
     studies: tuple[str, ...] = STUDIES
-    quick: bool = False  # fewer points of each study
+    quick: bool = False  # fewer points of each study; the default network trains for 40 s at most
     motion_share: float | None = None  # of the scene's duration that simulation_time runs; none: a third, or a fifth when quick
     checkpoint: str | None = None  # the network that is asked and reconstructed, and one more of the network study; none: the default that training makes
     sweep_folder: str | None = None  # the folder of a sweep whose networks enter the network study too

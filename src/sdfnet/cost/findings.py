@@ -77,7 +77,7 @@ def findings_of(study: Study) -> list[str]:
         sentences.append(f"{cheapest_is}: {front[-1].words()}.")
     factor = factor_per_digit([point.pair for point in front])
     if factor is not None:
-        sentences.append(f"Along the front a tenth of the error costs {factor:.2g} times the {cost}.")
+        sentences.append(f"Along the front a tenth of the error costs {_times(factor)} the {cost}.")
     if bend is not None:
         sentences.append(f"The knee is {bend.words()}.")
     sentences += [_of_default(point, front) for point in study.points if point.is_default and point.is_measured and not point.is_reference]
@@ -126,4 +126,9 @@ def _of_default(point: Point, front: Sequence[Point]) -> str:
     if point.seconds is not None and better.seconds is not None and point.seconds.p5 <= better.seconds.p95:
         return f"The default, {point.words()}, is as quick as {better.words()}, which is no less accurate."
     cheaper = "smaller" if point.seconds is None else "quicker"
-    return f"The default, {point.words()}, is beaten by {better.words()}: {point.pair[1] / better.pair[1]:.2g} times {cheaper} and no less accurate."
+    return f"The default, {point.words()}, is beaten by {better.words()}: {_times(point.pair[1] / better.pair[1])} {cheaper} and no less accurate."
+
+
+def _times(factor: float) -> str:
+    """1.4 times, 210 times, 34,000 times."""
+    return f"{float(f'{factor:.2g}'):,g} times"

@@ -27,10 +27,11 @@ class Budget:
 
     width: int | None = None
     seconds: float | None = None
+    is_default: bool = False  # whether it stands for the user's own training
 
 
-FULL = (Budget(16, 20.0), Budget(16, 60.0), Budget(None, 20.0), Budget(None, 60.0), Budget(), Budget(128, 60.0), Budget(128, 120.0))
-QUICK = (Budget(16, 10.0), Budget(None, 10.0), Budget())
+FULL = (Budget(16, 20.0), Budget(16, 60.0), Budget(None, 20.0), Budget(None, 60.0), Budget(is_default=True), Budget(128, 60.0), Budget(128, 120.0))
+QUICK = (Budget(16, 10.0), Budget(None, 10.0), Budget(None, 40.0, is_default=True))  # the user's own training stops after 40 s
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +53,11 @@ def training_study(
     points, trained = [], []
     for budget in budgets:
         chosen = model if budget.width is None else replace(model, width=budget.width, frequencies=budget.width)
-        limited = training if budget.seconds is None else replace(training, seconds=budget.seconds, epochs=UNLIMITED_EPOCHS)
+        limited = _limited(training, budget)
         torch.manual_seed(family.seed)
         module = SdfTraining(family, chosen, limited, optimizer)
         method = f"width {chosen.width}"
-        setting, overrides = _length(training, budget), _overrides(budget)
+        setting, overrides = _length(limited), _overrides(budget, limited)
         try:
             fit_quietly(module, family, limited.epochs, precision, validate_every=limited.validate_every)
         except TrainingError as error:
@@ -66,7 +67,7 @@ def training_study(
         counts = {"steps": module.trainer.fit_loop.total_batch_idx + 1, "decoder parameters": networks.decoder.parameter_count}
         seconds = Timing.of([module.train_seconds])
         size = networks.sizes(len(family.shapes))["query_bytes"]
-        points.append(Point(method, setting, near_error_mm(networks, family), seconds, counts, size, budget == Budget(), overrides))
+        points.append(Point(method, setting, near_error_mm(networks, family), seconds, counts, size, budget.is_default, overrides))
         trained.append(Trained(networks, points[-1]))
     error_label = "mean error of the distance within 1 % of D of the surface (mm)"
     study = Study("training", "training", "What training costs", error_label, "training on the CPU (s)", tuple(points))
@@ -86,15 +87,25 @@ def near_error_mm(networks: Networks, family: ShapeFamily, frames: int = MEASURE
     return float(np.mean(found))
 
 
-def _length(training: TrainingSettings, budget: Budget) -> str:
-    """How long that budget lets a network train, in words."""
-    if budget.seconds is not None:
-        return f"{budget.seconds:g} s"
-    limit = "" if training.seconds is None else f", {training.seconds:g} s at most"
-    return f"{training.epochs} epochs{limit}"
+def _limited(training: TrainingSettings, budget: Budget) -> TrainingSettings:
+    """For how long a budget lets a network train; the user's own training keeps its epochs."""
+    if budget.seconds is None:
+        return training
+    if budget.is_default:
+        return replace(training, seconds=min(budget.seconds, budget.seconds if training.seconds is None else training.seconds))
+    return replace(training, seconds=budget.seconds, epochs=UNLIMITED_EPOCHS)
 
 
-def _overrides(budget: Budget) -> tuple[str, ...]:
+def _length(limited: TrainingSettings) -> str:
+    """How long a network trains, in words."""
+    if limited.epochs == UNLIMITED_EPOCHS:
+        return f"{limited.seconds:g} s"
+    limit = "" if limited.seconds is None else f", {limited.seconds:g} s at most"
+    return f"{limited.epochs} epochs{limit}"
+
+
+def _overrides(budget: Budget, limited: TrainingSettings) -> tuple[str, ...]:
     width = () if budget.width is None else (f"model.width={budget.width}", f"model.frequencies={budget.width}")
-    seconds = () if budget.seconds is None else (f"training.seconds={budget.seconds:g}", f"training.epochs={UNLIMITED_EPOCHS}")
-    return (*width, *seconds)
+    seconds = () if budget.seconds is None else (f"training.seconds={limited.seconds:g}",)
+    epochs = (f"training.epochs={limited.epochs}",) if limited.epochs == UNLIMITED_EPOCHS else ()
+    return (*width, *seconds, *epochs)
