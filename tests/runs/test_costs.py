@@ -99,8 +99,8 @@ def test_named_command_is_the_run_that_was_studied(command: Command, monkeypatch
     findings: list[list[str]] = []
     typed = ("+effect@dataset.scene.effects.weight=gravity", "dataset.scene.effects.weight.acceleration=[0,0,-1]", "data_folder=my data")
     command("cost", *SMALL, *typed, "precision=32-true", f"studies=[{','.join(STUDIES_OF_THE_WHOLE)}]", "wanted_mm=[0.5,0.1]")
-    named, too_much, *_ = findings[-1]
-    words = shlex.split(named[named.index("python train.py") :])[2:]
+    _, named, too_much, *_ = findings[-1]
+    words = shlex.split(named)[2:]
     kept = [word for word in SMALL if word not in ("model.width=16", "quick=true")]
     assert words == [*kept, *typed, "trainer.precision=32-true", "model.width=128", "trainer.accelerator=cpu"]
     assert too_much == "0.1 mm: no time step, distances, training and grid that were measured are accurate enough."

@@ -207,7 +207,7 @@ def _cheapest_runs(bench: Bench, found: Sequence[Study]) -> list[str]:
     wholes = [cheapest_whole(found, wanted, bench.family.files.seconds["tet mesh"]) for wanted in bench.settings.wanted_mm]
     if None in wholes and len(STUDIES_OF_THE_WHOLE.keys() & set(bench.settings.studies)) > 1:
         return [f"No cheapest run is named, because these were not measured: {', '.join(unmeasured(found))}."]
-    return [f"{whole.words()} {_command(whole)}".rstrip() for whole in wholes if whole is not None]
+    return [line for whole in wholes if whole is not None for line in (whole.words(), _command(whole)) if line]
 
 
 def _command(whole: Whole) -> str:

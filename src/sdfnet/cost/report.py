@@ -27,7 +27,15 @@ def write_report(folder: Path, title: str, subtitle: str, studies: Sequence[Stud
     """
     pages = Environment(loader=PackageLoader("sdfnet.cost", ""), autoescape=select_autoescape(default=True), trim_blocks=True)
     shown = [
-        {"name": study.name, "title": study.title, "findings": findings_of(study), "points": [_cells(point) for point in study.points]} for study in studies
+        {
+            "name": study.name,
+            "title": study.title,
+            "across": study.error_label,
+            "up": study.cost_label,
+            "findings": findings_of(study),
+            "points": [_cells(point) for point in study.points],
+        }
+        for study in studies
     ]
     figures = ",".join(f'"{study.name}": {_figure(study).to_json()}' for study in studies)
     html = pages.get_template("page.html.j2").render(
@@ -58,13 +66,16 @@ def text_of(studies: Sequence[Study], summary: Sequence[str]) -> list[str]:
 def _series(study: Study) -> dict[str, list[Point]]:
     series: dict[str, list[Point]] = {}
     for point in study.points:
-        if point.is_measured:
+        if point.is_measured and not (point.is_reference and point.error_mm == 0):  # zero lies far off the others on a logarithmic axis
             series.setdefault(point.method, []).append(point)
     return {method: sorted(points, key=lambda point: point.pair) for method, points in series.items()}
 
 
 def _figure(study: Study) -> graph.Figure:
-    """Error across, cost up, both logarithmic: a line a method, the front dashed, a star on the default, a diamond on the knee."""
+    """Error across, cost up, both logarithmic: a line a method, the front dashed, a star on the default, a diamond on the knee.
+
+    What the axes show stands above it in the page: on a phone they are too short for the words.
+    """
     figure = graph.Figure()
     front, bend = front_of(study), knee_of(study)
     figure.add_scatter(
@@ -89,9 +100,8 @@ def _figure(study: Study) -> graph.Figure:
         )  # fmt: skip
     axis = {"type": "log", "showgrid": True, "gridcolor": "#e8ecf0", "exponentformat": "power", "automargin": True}
     figure.update_layout(
-        template="plotly_white", margin={"l": 10, "r": 10, "t": 10, "b": 10}, hovermode="closest",
-        xaxis={**axis, "title": {"text": study.error_label}}, yaxis={**axis, "title": {"text": study.cost_label}},
-        legend={"orientation": "h", "yanchor": "top", "y": -0.22, "x": 0, "font": {"size": 11}},
+        template="plotly_white", margin={"l": 10, "r": 10, "t": 40, "b": 10}, hovermode="closest", xaxis=axis, yaxis=axis,
+        legend={"orientation": "h", "yanchor": "top", "y": -0.1, "x": 0, "font": {"size": 11}},
     )  # fmt: skip
     return figure
 

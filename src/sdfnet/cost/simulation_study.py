@@ -48,7 +48,7 @@ def simulation_time_study(scene: Scene, mesh: TetMesh, duration: float | None = 
         stage="simulation",
         title="What the time step costs",
         error_label=f"RMS displacement error against {_reference_words(bases)}, same mass (mm)",
-        cost_label=f"integrator's set-up and steps for {part_words(scene, scene)} (s)",
+        cost_label=f"set-up and steps, {part_words(scene, scene)} (s)",
         points=tuple(point for points, _ in found for point in points),
         notes=(*part_notes(part, scene), *_notes(found, masses, part_words(part, scene))),
     )

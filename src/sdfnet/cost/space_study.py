@@ -59,7 +59,7 @@ def simulation_space_study(scene: Scene, mesh: TetMesh, mesh_seconds: float, dur
         stage="simulation",
         title="What mesh and elements cost",
         error_label="RMS displacement error against quadratic tets on the scene's mesh (mm)",
-        cost_label=f"meshing, assembly and steps for {part_words(whole, whole)} (s)",
+        cost_label=f"mesh, set-up and steps, {part_words(whole, whole)} (s)",
         points=tuple(points),
         notes=part_notes(scene, whole),
     )
