@@ -86,8 +86,8 @@ def test_page_shows_every_study_with_nothing_cut_off(browser: webdriver.Chrome, 
     drawn = browser.find_element(By.CSS_SELECTOR, "#plot-simulation_time .gridlayer").rect
     assert drawn["height"] > 200  # the legend leaves room
     assert drawn["y"] + drawn["height"] <= legend["y"]
-    # 3 of leapfrog, the star, and the knee if there is one; nothing for the reference, whose error is zero, and for the point that failed
-    assert len(browser.find_elements(By.CSS_SELECTOR, "#plot-simulation_time .scatterlayer .points path")) in (4, 5)
+    # 3 of leapfrog and the star; nothing for the reference, whose error is zero, and for the point that failed
+    assert len(browser.find_elements(By.CSS_SELECTOR, "#plot-simulation_time .scatterlayer .points path")) == 4
 
 
 def test_page_needs_no_network_and_logs_no_error(browser: webdriver.Chrome, folder: Path) -> None:

@@ -92,7 +92,7 @@ def _limited(training: TrainingSettings, budget: Budget) -> TrainingSettings:
     if budget.seconds is None:
         return training
     if budget.is_default:
-        return replace(training, seconds=min(budget.seconds, budget.seconds if training.seconds is None else training.seconds))
+        return replace(training, seconds=min(seconds for seconds in (budget.seconds, training.seconds) if seconds is not None))
     return replace(training, seconds=budget.seconds, epochs=UNLIMITED_EPOCHS)
 
 
