@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 
 from sdfnet.cli.entry import SCHEMAS, register
 from sdfnet.cli.settings import TrainerSettings
-from sdfnet.evaluation.evaluate import EvaluationSettings
+from sdfnet.evaluation.settings import EvaluationSettings
 from sdfnet.models.decoder import SdfCalculator
 from sdfnet.plugins import frozen, shipped
 from tests.composition import composed

@@ -68,6 +68,7 @@ def test_reference_itself_has_no_error_and_winding_numbers_agree_with_it(study: 
     errors = {point.setting: point.error_mm for point in points_of(study, "libigl")}
     assert errors["sign by pseudo-normals"] == 0.0
     assert errors["sign by winding numbers"] == pytest.approx(0.0, abs=1e-12)
+    assert (errors["sign by fast winding numbers"] or 0.0) > 1e-6  # libigl multiplies the distance with a sign that is only nearly one
     rounded = errors["sign by pseudo-normals, vertices rounded to float32"]
     assert rounded is not None
     assert 1e-9 < rounded < 1e-5  # mm: half a float32 step at 0.05 m is 2e-9 m
@@ -75,7 +76,7 @@ def test_reference_itself_has_no_error_and_winding_numbers_agree_with_it(study: 
 
 def test_what_has_the_references_distances_by_construction_is_on_no_front(study: Study) -> None:
     references = [point.setting for point in study.points if point.is_reference]
-    assert references == ["sign by pseudo-normals", "sign by fast winding numbers", "sign by winding numbers"]
+    assert references == ["sign by pseudo-normals", "sign by winding numbers"]
     assert not any(point.is_reference for point in front_of(study))
 
 

@@ -13,7 +13,7 @@ def point(error: float | None, seconds: float | None, setting: str = "s", **more
 
 
 def study(name: str, *points: Point, share_of_whole: float = 1.0) -> Study:
-    return Study(name, name.split("_")[0], name.title(), "error (mm)", "seconds", points, share_of_whole)
+    return Study(name, name.title(), "error (mm)", "seconds", points, share_of_whole)
 
 
 def test_front_leaves_out_failed_and_unmeasured_points() -> None:
@@ -146,3 +146,4 @@ def test_durations_are_told_in_the_unit_that_suits_them() -> None:
 
 def test_large_factors_are_written_out() -> None:
     assert "Along the front a tenth of the error costs 34,000 times the time." in findings_of(study("training", point(1.0, 1e-3), point(0.1, 34.2)))
+    assert "Along the front a tenth of the error costs 34,000,000 times the time." in findings_of(study("training", point(1.0, 1e-6), point(0.1, 34.2)))

@@ -78,6 +78,22 @@ def test_target_of_its_own_and_mean_over_frames_choose_another_network(sweep: Pa
     assert smallest_settled(read_jobs(sweep), Target(chamfer_l1_mm=0.01)) is None
 
 
+def test_smallest_may_be_told_by_its_bytes_so_that_fewer_bits_and_shorter_latents_win(tmp_path: Path) -> None:
+    write_job(tmp_path, ["evaluation.storage=float32"], result(64, 0.1, 0.2))
+    write_job(tmp_path, ["evaluation.storage=int8"], result(64, 0.2, 0.3) | {"query_bytes": 80})
+    write_job(tmp_path, ["model.width=16", "evaluation.storage=int8"], result(256, 0.1, 0.1) | {"query_bytes": 100})
+    found = {size: rows_of(read_jobs(tmp_path), Target(size=size)) for size in ("decoder_parameters", "query_bytes")}
+    assert [row.query_bytes for row in found["decoder_parameters"]] == [256, 80, 100]
+    assert [row.query_bytes for row in found["query_bytes"]] == [80, 100, 256]
+    smallest = smallest_settled(read_jobs(tmp_path), Target(size="query_bytes"))
+    assert smallest is not None
+    assert smallest.setting == ("evaluation.storage=int8",)
+    console = Console(width=200, file=io.StringIO())
+    console.print(table_of(read_jobs(tmp_path), Target(size="query_bytes")))
+    front = [line for line in console.file.getvalue().splitlines() if "front" in line]  # type: ignore[attr-defined]
+    assert len(front) == 2  # the third has more bytes and more error
+
+
 def test_frame_without_a_surface_is_an_infinite_error_and_not_a_good_one(tmp_path: Path) -> None:
     write_job(tmp_path, ["model.width=8"], result(64, None, None))
     (row,) = rows_of(read_jobs(tmp_path), Target())
@@ -145,8 +161,8 @@ def test_a_lucky_seed_leaves_no_larger_network_out_before_the_others_of_its_row_
     jobs = read_jobs(sweep)
     assert smallest_settled(jobs, Target()) == settled
     said = "\n".join(sentences_of(jobs, Target()))
-    assert "The smallest decoder as good as KNN-1 on the worst frame has 1,024 parameters" in said
-    assert "model.width=4 may do with 16 parameters: 1 of 2 seeds finished." in said
+    assert "The smallest network as good as KNN-1 on the worst frame has 1,024 parameters" in said
+    assert "model.width=4 may do with 16 parameters, 0.1 kB with the latents: 1 of 2 seeds finished." in said
     console = Console(width=200, file=io.StringIO())
     console.print(table_of(jobs, Target()))
     (marked,) = [line for line in console.file.getvalue().splitlines() if "smallest" in line]  # type: ignore[attr-defined]
@@ -160,7 +176,7 @@ def test_where_nothing_is_settled_no_network_is_called_the_smallest(tmp_path: Pa
     write_job(tmp_path, ["model.width=4", "seed=1"], None, RUNNING)
     _, *said = sentences_of(read_jobs(tmp_path), Target())
     assert said[0] == "1 of 2 jobs finished; of none that is as good as KNN-1 on the worst frame every seed finished."
-    assert said[1] == "model.width=4 may do with 16 parameters: 1 of 2 seeds finished."
+    assert said[1] == "model.width=4 may do with 16 parameters, 0.1 kB with the latents: 1 of 2 seeds finished."
 
 
 def test_jobs_asked_for_with_another_target_or_data_folder_are_of_one_row(tmp_path: Path) -> None:
@@ -258,6 +274,7 @@ def test_command_trains_on_as_many_threads_as_the_job_had(sweep: Path) -> None:
         ({"frames": "all"}, "worst, mean"),
         ({"chamfer_l1_mm": 0.0}, "must be positive"),
         ({"objectives": ()}, "at least one"),
+        ({"size": "kB"}, "target.size must be one of decoder_parameters, query_bytes; found 'kB'"),
         ({"objectives": ("chamfer_l1_mm_mean", "chamfer_mm")}, "must be one of decoder_parameters, .*chamfer_l1_mm_worst, .*; found 'chamfer_mm'"),
     ],
 )

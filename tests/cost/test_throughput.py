@@ -55,6 +55,12 @@ def test_plain_loop_ends_with_a_training_that_diverges(ball_family: ShapeFamily)
     assert multiprocessing.active_children() == []
 
 
+def test_plain_loop_that_dies_is_said(ball_family: ShapeFamily, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Connection, "recv", mock.Mock(side_effect=EOFError))
+    with pytest.raises(TrainingError, match="the plain loop's process has ended, perhaps for want of memory; leave throughput out of studies"):
+        measured_throughput(ball_family, MODEL, TRAINING, OPTIMIZER, "32-true")
+
+
 @pytest.mark.parametrize("model", [replace(MODEL, conditioning="modulated"), replace(MODEL, activation="siren")])
 def test_network_that_the_plain_loop_does_not_have_is_refused(ball_family: ShapeFamily, model: ModelSettings) -> None:
     found = f"found model.conditioning={model.conditioning} and model.activation={model.activation}; leave throughput out of studies"

@@ -13,9 +13,10 @@ from matplotlib.image import imread
 from sdfnet.data.prepare import sample_distances
 from sdfnet.data.store import DistanceSamples
 from sdfnet.errors import ConfigurationError
-from sdfnet.evaluation.evaluate import Evaluation, EvaluationSettings, evaluate, measured_frames
+from sdfnet.evaluation.evaluate import Evaluation, evaluate, measured_frames
 from sdfnet.evaluation.figures import PANEL_PIXELS
 from sdfnet.evaluation.report import result_of, table_of, write_report
+from sdfnet.evaluation.settings import EvaluationSettings
 from sdfnet.geometry.solids import Sphere
 from sdfnet.models.decoder import SdfCalculator
 from sdfnet.models.networks import Networks
@@ -58,14 +59,28 @@ class _BallOfKnownRadius(SdfCalculator):
         return encoded[..., 0] - from_latent[..., 0]
 
 
-@pytest.fixture(scope="module")
-def exact(trajectory: Trajectory, samples: DistanceSamples) -> Evaluation:
-    """The evaluation of a network that knows the answer."""
+def knowing(trajectory: Trajectory, samples: DistanceSamples) -> Networks:
+    """Networks that know the answer."""
     known = networks(trajectory, samples)
     known.decoder = _BallOfKnownRadius(known.settings, torch.zeros(3), torch.ones(3))
     known.decoder.from_latent = torch.nn.Identity()  # type: ignore[assignment]
     known.latents = lambda shapes: shapes.norm(dim=-1).amax(dim=1, keepdim=True)  # type: ignore[method-assign]
-    return evaluate(known, trajectory, samples, SETTINGS)
+    return known
+
+
+@pytest.fixture(scope="module")
+def exact(trajectory: Trajectory, samples: DistanceSamples) -> Evaluation:
+    """Their evaluation."""
+    return evaluate(knowing(trajectory, samples), trajectory, samples, SETTINGS)
+
+
+def test_vertices_that_are_refined_lie_on_the_networks_own_surface(trajectory: Trajectory, samples: DistanceSamples, exact: Evaluation) -> None:
+    refined = evaluate(knowing(trajectory, samples), trajectory, samples, replace(SETTINGS, refine_steps=1))
+    radius = float(np.linalg.norm(trajectory.surface(2).vertices, axis=1).max())
+    off = [np.abs(np.linalg.norm(one.surfaces[2]["network"].vertices, axis=1) - radius).max() for one in (exact, refined)]
+    assert off[0] > 1e-5  # m: what marching cubes leaves between the points of the grid
+    assert off[1] < 1e-7
+    np.testing.assert_array_equal(exact.surfaces[2]["floor"].vertices, refined.surfaces[2]["floor"].vertices)
 
 
 def test_a_network_that_knows_the_ball_is_as_good_as_the_floor_but_for_the_facets(exact: Evaluation) -> None:
@@ -156,6 +171,8 @@ def test_the_last_frame_is_always_measured() -> None:
 def test_settings_that_measure_nothing_are_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"evaluation\.every"):
         EvaluationSettings(every=0)
+    with pytest.raises(ConfigurationError, match=r"evaluation\.refine_steps must be at least 0, found -1"):
+        EvaluationSettings(refine_steps=-1)
     with pytest.raises(ConfigurationError, match=r"evaluation\.storage must be one of float32, fp16, int8; found 'int4'"):
         EvaluationSettings(storage="int4")
 

@@ -5,7 +5,6 @@ import pytest
 import trimesh
 from torch import Tensor
 
-from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.refine import refined_surface
 from sdfnet.geometry.surface import Surface
 
@@ -51,8 +50,3 @@ def test_no_step_leaves_every_vertex_and_steps_leave_the_faces() -> None:
 def test_a_vertex_without_a_gradient_stays() -> None:
     flat = Surface(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     np.testing.assert_array_equal(refined_surface(flat, squared_ball, LONGEST, 3).vertices, flat.vertices)
-
-
-def test_fewer_than_no_steps_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="refine_steps must be at least 0, found -1"):
-        refined_surface(sphere_of(RADIUS), squared_ball, LONGEST, -1)

@@ -16,7 +16,7 @@ import trimesh
 from hydra.core.global_hydra import GlobalHydra
 
 import sdfnet.cli
-from sdfnet.cli.earlier_run import take_over
+from sdfnet.cli.earlier_run import quoted, take_over
 from sdfnet.errors import TrainingError
 from sdfnet.models.networks import RECORD
 from sdfnet.plugins import shipped
@@ -383,7 +383,17 @@ def test_each_script_shows_its_settings_and_refuses_a_wrong_key(name: str) -> No
     assert "Traceback" not in wrong.stderr
 
 
-@pytest.mark.parametrize("resume", [[], ["resume=null"]])
+@pytest.mark.parametrize("folder", ["plain", "with = and , in it", "it's"])
+def test_a_resumed_run_brings_its_settings_whatever_its_folder_is_called(monkeypatch: pytest.MonkeyPatch, folder: str) -> None:
+    (Path(folder) / ".hydra").mkdir(parents=True)
+    (Path(folder) / ".hydra/overrides.yaml").write_text("[model.width=8, seed=3]")
+    resume = f"resume={quoted(Path(folder) / 'checkpoints/last.ckpt')}"
+    monkeypatch.setattr(sys, "argv", ["train.py", resume, "seed=1"])
+    take_over("train")
+    assert sys.argv == ["train.py", "model.width=8", resume, "seed=1"]
+
+
+@pytest.mark.parametrize("resume", [[], ["resume=null"], ["resume=a,b"], ["resume=[a"]])
 def test_a_run_where_it_is_typed_is_no_earlier_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], resume: list[str]) -> None:
     Path(".hydra").mkdir()
     Path(".hydra/overrides.yaml").write_text("[model.width=8]")

@@ -14,13 +14,13 @@ import torch
 from hydra.core.global_hydra import GlobalHydra
 
 from sdfnet.cli import costs
-from sdfnet.cli.costs import Bench
+from sdfnet.cli.costs import Bench, _finished_jobs
 from sdfnet.cli.entry import register
 from sdfnet.cli.settings import STUDIES, CostSettings, TrainSettings
 from sdfnet.cost.findings import STUDIES_OF_THE_WHOLE
 from sdfnet.cost.network_study import Candidate, MeasuredShape
 from sdfnet.cost.studies import Point, Study, Timing
-from sdfnet.cost.sweep_table import FINISHED, JOB_FILE, RESULT_FILE
+from sdfnet.cost.sweep_table import FAILED, FINISHED, JOB_FILE, RESULT_FILE
 from sdfnet.cost.training_study import Trained
 from sdfnet.data.store import described
 from sdfnet.errors import ConfigurationError, PhysicsError
@@ -48,9 +48,7 @@ def refused(*given: object, **more: object) -> Study:
 
 def made(name: str) -> Callable[..., Study]:
     """In place of a study that takes seconds."""
-    return lambda *given, **more: Study(
-        name, name, name.title(), "error (mm)", "time (s)", (Point("quick", "as it comes", 0.1, Timing.of([1.0]), is_default=True),)
-    )
+    return lambda *given, **more: Study(name, name.title(), "error (mm)", "time (s)", (Point("quick", "as it comes", 0.1, Timing.of([1.0]), is_default=True),))
 
 
 def page_of() -> Path:
@@ -192,12 +190,18 @@ def test_what_cannot_be_studied_is_refused_at_once(command: Command, capfd: pyte
             {"studies": ("distances", "network")},
             "studies=network needs a network, found none; add training to studies, or give checkpoint=... or sweep_folder=",
         ),
-        ({"studies": ("training", "queries"), "sweep_folder": "."}, "sweep_folder is read by studies=network, found training, queries; add network to studies"),
+        ({"studies": ("training", "queries"), "sweep_folder": "."}, "sweep_folder is read by studies=network, found training, queries; add one to studies"),
+        ({"studies": ("distances",), "checkpoint": "."}, "checkpoint is read by studies=network or queries or reconstruction, found distances"),
+        (
+            {"studies": ("training",), "dataset": replace(BALL, sampling=replace(BALL.sampling, near_surface_count=0))},
+            "studies=training measures errors at samples near the surface, found dataset.sampling.near_surface_count=0; raise it, or leave training out",
+        ),
+        ({"studies": ("distances",), "motion_share": 0.5}, "motion_share is read by studies=simulation_time, found distances"),
     ],
 )
 def test_network_study_without_a_network_and_sweep_without_the_study_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(message)):
-        CostSettings(dataset=BALL, dataset_name="ball", **settings)
+        CostSettings(**{"dataset": BALL, "dataset_name": "ball", **settings})
 
 
 def bench_of(data: Path, **settings: Any) -> Bench:
@@ -254,7 +258,7 @@ def test_networks_of_training_checkpoint_and_sweep_stand_beside_the_baselines(gi
 
 def test_default_network_is_never_replaced_by_a_shorter_training(data: Path) -> None:
     bench = bench_of(data)
-    with pytest.raises(ConfigurationError, match="found that no training went well and no job of a sweep finished"):
+    with pytest.raises(ConfigurationError, match="found that no training went well; give checkpoint"):
         bench.network()
     default, short = trained("1 epochs"), trained("60 s", "training.seconds=60")
     bench.trained = [default, short]
@@ -274,12 +278,25 @@ def test_sweep_or_checkpoint_that_is_not_there_is_refused_before_anything_is_mea
     assert "sweep_folder must be there, found nothing at 'nowhere'" in capfd.readouterr().err
 
 
+def test_sweep_without_a_finished_job_is_refused_and_one_with_others_says_which(command: Command, capfd: pytest.CaptureFixture[str]) -> None:
+    failed = Path("jobs/seed=0")
+    failed.mkdir(parents=True)
+    (failed / JOB_FILE).write_text(json.dumps({"overrides": ["seed=0"], "configuration": "x", "status": FAILED, "reason": "killed by SIGKILL"}))
+    with pytest.raises(SystemExit):
+        command("cost", *SMALL, "studies=[network]", "sweep_folder=jobs")
+    assert "sweep_folder must hold finished jobs of a sweep, found none of 1 in 'jobs'" in capfd.readouterr().err
+    sweep_of_one(Path("jobs"))
+    assert [job.folder.name for job in _finished_jobs(Path("jobs"))] == ["seed=1"]
+    assert "jobs/seed=0 is not among the networks, because it is failed: killed by SIGKILL" in capfd.readouterr().out
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*does not have many workers.*", "ignore:.*LeafSpec.*")
 def test_every_study_of_the_quick_command_is_measured(command: Command) -> None:
     command("cost", *SMALL)
     with (page_of() / "points.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert {row["stage"] for row in rows if not row["failure"]} == {"simulation", "distances", "training", "network", "reconstruction"}
+    measured = {row["study"] for row in rows if not row["failure"]}
+    assert {"simulation_time", "simulation_space", "distances", "training", "network_query", "query_1", "reconstruction"} <= measured
     whole = next(line for line in (page_of() / "findings.txt").read_text().splitlines() if line.startswith("1 mm: "))
     assert "the whole motion, the training, and the distances and the reconstruction of every frame" in whole

@@ -106,7 +106,7 @@ def test_error_of_any_kind_is_a_row_with_its_traceback_in_the_log_and_the_other_
     assert rows["model.width=16"]["status"] == "finished"
     (log,) = Path("outputs/sweep").rglob("training.log")
     assert "Traceback" in log.read_text()
-    assert "smallest decoder as good as KNN-1 on the worst frame has 256 parameters" in capfd.readouterr().out
+    assert "smallest network as good as KNN-1 on the worst frame has 256 parameters" in capfd.readouterr().out
 
 
 def test_table_is_written_also_when_what_runs_the_jobs_fails(command: Callable[..., None], trained: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,10 +218,12 @@ def test_a_job_whose_checkpoint_is_broken_or_of_data_that_were_made_again_begins
     assert (len(trained), len(list(Path("sweep/earlier").iterdir()))) == (3, 2)
 
 
-def test_larger_networks_than_one_that_is_good_enough_are_left_out(command: Callable[..., None], trained: list[str]) -> None:
-    command("train", *TINY, "model.width=8,16", "target.skip_larger=true", "-m")
+@pytest.mark.parametrize(("size", "reason"), [("decoder_parameters", "parameters are more than the 64"), ("query_bytes", "bytes are more than the 8")])
+def test_larger_networks_than_one_that_is_good_enough_are_left_out(command: Callable[..., None], trained: list[str], size: str, reason: str) -> None:
+    command("train", *TINY, "model.width=8,16", "target.skip_larger=true", f"target.size={size}", "-m")
     rows = jobs_of("experiment-smoke")
     assert [row["status"] for row in rows.values()] == ["finished", "left out"]
+    assert reason in list(rows.values())[1]["reason"]
     assert len(trained) == 1
 
 

@@ -20,9 +20,10 @@ from sdfnet.data.prepare import prepare as prepare_files
 from sdfnet.data.prepare import prepare_mesh
 from sdfnet.data.store import DistanceSamples, described, key_of, read_distances, read_trajectory
 from sdfnet.errors import TrainingError
-from sdfnet.evaluation.evaluate import Evaluation, EvaluationSettings
+from sdfnet.evaluation.evaluate import Evaluation
 from sdfnet.evaluation.evaluate import evaluate as evaluate_networks
 from sdfnet.evaluation.report import result_of, table_of, write_report
+from sdfnet.evaluation.settings import EvaluationSettings
 from sdfnet.geometry.bunny import beside_table_1
 from sdfnet.geometry.solids import ClosedSurface
 from sdfnet.models.networks import RECORD, Networks, load_networks, read_checkpoint

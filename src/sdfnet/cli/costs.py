@@ -36,7 +36,7 @@ from sdfnet.cost.simulation_study import simulation_time_study
 from sdfnet.cost.space_study import simulation_space_study
 from sdfnet.cost.studies import Point, Study
 from sdfnet.cost.sweep_report import command_of
-from sdfnet.cost.sweep_table import read_jobs
+from sdfnet.cost.sweep_table import Job, read_jobs
 from sdfnet.cost.throughput import Throughput, measured_throughput
 from sdfnet.cost.training_study import FULL, QUICK, Trained, training_study
 from sdfnet.data.datamodule import ShapeFamily
@@ -58,7 +58,10 @@ class Bench:
     """What the studies are made on, prepared shapes and the networks that were trained on the way; and each study, by its name in STUDIES."""
 
     def __init__(self, settings: CostSettings) -> None:
-        """Prepare what is missing and plan the scene, which say what there is to warn of. Raises ConfigurationError for a checkpoint of another dataset."""
+        """Prepare what is missing and plan the scene, which say what there is to warn of.
+
+        Raises ConfigurationError for a checkpoint of another dataset and for a sweep of which no job is finished.
+        """
         self.settings = settings
         self.trained: list[Trained] = []
         self.speed: Throughput | None = None
@@ -67,6 +70,7 @@ class Bench:
         self.family.setup()
         self.limits = plan(settings.dataset.scene, self.family.trajectory.mesh).limits
         self._given = None if settings.checkpoint is None else networks_trained_on(self.family.file_names, Path(settings.checkpoint))
+        self._jobs = [] if settings.sweep_folder is None else _finished_jobs(Path(settings.sweep_folder))
 
     @property
     def networks(self) -> Networks:
@@ -112,7 +116,7 @@ class Bench:
         grid = Grid(samples.box.lower, samples.box.upper, effort.resolution)
         networks = self.network_candidates(grid)
         if not networks:
-            raise ConfigurationError("this study needs a network, found that no training went well and no job of a sweep finished; give checkpoint=...")
+            raise ConfigurationError("this study needs a network, found that no training went well; give checkpoint=...")
         candidates = [*networks, *baseline_candidates(trajectory, samples, grid, effort)]
         return network_studies(measured_shapes(candidates, trajectory, samples, effort))
 
@@ -125,9 +129,9 @@ class Bench:
         ]
         if self._given is not None:
             candidates.append(network_candidate("the checkpoint", self._given, trajectory, grid))
-        if asked.sweep_folder is not None:
+        if self._jobs:
             as_default = {"model": asked.model, "batch": asked.batch, "optimizer": asked.optimizer, "training": asked.training, "split": "all"}
-            candidates += sweep_candidates(read_jobs(Path(asked.sweep_folder)), trajectory, grid, self.family.file_names, as_default)
+            candidates += sweep_candidates(self._jobs, trajectory, grid, self.family.file_names, as_default)
         return candidates
 
     def queries(self) -> list[Study]:
@@ -169,13 +173,24 @@ def cost(settings: CostSettings, output: Path) -> None:
         raise ConfigurationError("at least one study must be made, found that each failed with the reason above")
 
 
+def _finished_jobs(sweep_folder: Path) -> list[Job]:
+    """With a warning for each that is not. Raises ConfigurationError when none is."""
+    jobs = read_jobs(sweep_folder)
+    if all(job.result is None for job in jobs):
+        raise ConfigurationError(f"sweep_folder must hold finished jobs of a sweep, found none of {len(jobs)} in '{sweep_folder}'; give the folder it printed")
+    for job in jobs:
+        if job.result is None:
+            logger.warning("%s is not among the networks, because it is %s%s", job.folder, job.status, job.reason and f": {job.reason}")
+    return [job for job in jobs if job.result is not None]
+
+
 def _made(bench: Bench, name: str) -> list[Study]:
     """The studies of that name, or one with a failed point that says why there is none."""
     try:
         studies: list[Study] = getattr(bench, name)()
     except SdfnetError as error:
         logger.error("%s: %s", name, error)
-        return [Study(name, name, f"{name}: failed", "error (mm)", "cost", (Point(name, "as asked", failure=str(error)),))]
+        return [Study(name, f"{name}: failed", "error (mm)", "cost", (Point(name, "as asked", failure=str(error)),))]
     return studies
 
 

@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 
 from hydra._internal.utils import get_args_parser
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from sdfnet.cli.screen import screen
@@ -20,15 +22,22 @@ def typed() -> list[str]:
 def take_over(name: str) -> None:
     """Put the settings of the run that `resume` or `checkpoint` names before those that are typed, which win; say which they are."""
     overrides = typed()
-    given = {key_of(line): line.split("=", 1)[1] for line in overrides if "=" in line}
-    checkpoint = given.get({"train": "resume", "evaluate": "checkpoint"}.get(name, ""), "null").strip("'\"")
+    setting = {"train": "resume", "evaluate": "checkpoint"}.get(name)
+    given = [line for line in overrides if key_of(line) == setting]
+    try:
+        checkpoint = OverridesParser.create().parse_override(given[-1]).value() if given else ""
+    except HydraException:  # the command is refused with the reason when it is composed
+        return
+    if not isinstance(checkpoint, str) or not checkpoint:  # null, nothing, or several of a sweep
+        return
     settings = Path(checkpoint).parent.parent / ".hydra"
-    if checkpoint in ("", "null") or not settings.is_dir():
+    if not settings.is_dir():
         return
     offered = typed_for(settings) if name == "train" else measured_with(settings)
     taken = [line for line in offered if key_of(line) not in {"resume", *map(key_of, overrides)}]
     if taken:
-        sys.argv[sys.argv.index(overrides[0]) : 0] = taken
+        place = sys.argv.index(overrides[0])
+        sys.argv[place:place] = taken
         screen().print(f"taken from the run in {settings.parent}: {' '.join(taken)}")
 
 

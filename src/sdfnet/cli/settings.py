@@ -11,7 +11,7 @@ from sdfnet.cost.sweep_table import Target
 from sdfnet.data.settings import SPLITS, BatchSettings
 from sdfnet.data.store import key_of
 from sdfnet.errors import ConfigurationError
-from sdfnet.evaluation.evaluate import EvaluationSettings
+from sdfnet.evaluation.settings import EvaluationSettings
 from sdfnet.models.settings import ModelSettings
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 from sdfnet.verification import CASES
@@ -28,6 +28,7 @@ STUDIES = (
     "reconstruction",
     "throughput",
 )  # of cost.py, in the order of the flow
+READ_BY = {"motion_share": {"simulation_time"}, "checkpoint": {"network", "queries", "reconstruction"}, "sweep_folder": {"network"}}  # settings of studies
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ class CostSettings:
     training: TrainingSettings = field(default_factory=TrainingSettings)
     precision: str = "auto"  # of trainings, as trainer.precision of train.py
     studies: tuple[str, ...] = STUDIES
-    quick: bool = False  # fewer points of each study; the default network trains for 40 s at most
+    quick: bool = False  # fewer points of most studies; the default network trains for 40 s at most
     motion_share: float | None = None  # of the scene's duration that simulation_time runs; none: a third, or a fifth when quick
     checkpoint: str | None = None  # the network that is asked and reconstructed, and one more of the network study; none: the default that training makes
     sweep_folder: str | None = None  # the folder of a sweep whose networks enter the network study too
@@ -127,12 +128,14 @@ class CostSettings:
         unknown = [name for name in self.studies if name not in STUDIES]
         if unknown or not self.studies:
             raise ConfigurationError(f"studies must be one of {', '.join(STUDIES)}; found '{unknown[0] if unknown else ''}'")
+        for name, studies in READ_BY.items():
+            if getattr(self, name) is not None and not studies & set(self.studies):
+                readers = " or ".join(sorted(studies))
+                raise ConfigurationError(f"{name} is read by studies={readers}, found {', '.join(self.studies)}; add one to studies, or leave {name} out")
         if self.motion_share is not None and not 0 < self.motion_share <= 1:
             raise ConfigurationError(f"motion_share must lie in (0, 1], found {self.motion_share}")
         if self.sweep_folder is not None and not Path(self.sweep_folder).is_dir():
             raise ConfigurationError(f"sweep_folder must be there, found nothing at '{self.sweep_folder}'; give the folder that the sweep printed")
-        if self.sweep_folder is not None and "network" not in self.studies:
-            raise ConfigurationError(f"sweep_folder is read by studies=network, found {', '.join(self.studies)}; add network to studies, or leave it out")
         if self.checkpoint is not None and not Path(self.checkpoint).is_file():
             found = "a folder" if Path(self.checkpoint).is_dir() else "nothing"
             raise ConfigurationError(f"checkpoint must be a file, found {found} at '{self.checkpoint}'; give checkpoint=outputs/.../checkpoints/last.ckpt")
@@ -142,6 +145,12 @@ class CostSettings:
             raise ConfigurationError(f"studies={needing[0]} needs a network, found none; add training to studies, or give checkpoint=...")
         if "network" in self.studies and not has_network and self.sweep_folder is None:
             raise ConfigurationError("studies=network needs a network, found none; add training to studies, or give checkpoint=... or sweep_folder=...")
+        measured_near = [name for name in ("training", "queries") if name in self.studies]
+        if measured_near and self.dataset.sampling.near_surface_count == 0:
+            raise ConfigurationError(
+                f"studies={measured_near[0]} measures errors at samples near the surface, found dataset.sampling.near_surface_count=0; "
+                f"raise it, or leave {' and '.join(measured_near)} out of studies"
+            )
         if self.precision not in PRECISIONS:
             raise ConfigurationError(f"precision must be one of {', '.join(PRECISIONS)}; found '{self.precision}'")
         if any(not wanted > 0 for wanted in self.wanted_mm):

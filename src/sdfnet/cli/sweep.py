@@ -172,10 +172,12 @@ def _why_hopeless(settings: TrainSettings, sweep_folder: Path) -> str | None:
     if not settings.target.skip_larger:
         return None
     smallest = smallest_settled(read_jobs(sweep_folder), settings.target)
-    size = SdfCalculator(settings.model, torch.zeros(3), torch.ones(3)).parameter_count
-    if smallest is None or size <= smallest.decoder_parameters:
+    decoder = SdfCalculator(settings.model, torch.zeros(3), torch.ones(3))
+    in_bytes = settings.target.size == "query_bytes"  # of which the latents of all frames are a part that is not known before the data are
+    size, unit = (decoder.stored_bytes(settings.evaluation.storage), "bytes") if in_bytes else (decoder.parameter_count, "parameters")
+    if smallest is None or size <= smallest.size(settings.target):
         return None
-    return f"its {size:,} parameters are more than the {smallest.decoder_parameters:,} of a network that is good enough already (target.skip_larger)"
+    return f"its {size:,} {unit} are more than the {smallest.size(settings.target):,.0f} of a network that is good enough already (target.skip_larger)"
 
 
 def _jobs_at_once(asked: int, sweep_folder: Path) -> int:

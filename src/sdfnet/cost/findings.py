@@ -131,4 +131,4 @@ def _of_default(point: Point, front: Sequence[Point]) -> str:
 
 def _times(factor: float) -> str:
     """1.4 times, 210 times, 34,000 times."""
-    return f"{float(f'{factor:.2g}'):,g} times"
+    return f"{float(f'{factor:.2g}'):,.15g} times"

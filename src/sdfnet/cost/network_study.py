@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import cycle
+from itertools import cycle, pairwise
 from pathlib import Path
 
 import torch
@@ -70,7 +70,7 @@ class MeasuredShape:
     mean_mm: float | None = None
     worst_mm: float | None = None
     query: Timing | None = None  # of one of many queries after a change of frame, which is included
-    frame: Timing | None = None  # of the surface of another frame
+    frame: Timing | None = None  # of the surface of one more frame
     failure: str | None = None
 
     def point(self, error_mm: float | None, seconds: Timing | None = None) -> Point:
@@ -88,11 +88,11 @@ def network_studies(shapes: Sequence[MeasuredShape]) -> list[Study]:
     frames = [shape.point(shape.mean_mm, shape.frame) for shape in shapes]
     networks = [replace(point, bytes=None) for point in by_mean if PARAMETERS in point.counts]
     return [
-        Study("network_query", "network", "Answering a query", mean, "one of many queries, change of frame included (s)", tuple(queries)),
-        Study("network_frame", "network", "Reconstructing a frame", mean, "the surface of one frame (s)", tuple(frames)),
-        Study("network_bytes_mean", "network", "Keeping the shapes, mean over frames", mean, kept, tuple(by_mean)),
-        Study("network_bytes_worst", "network", "Keeping the shapes, worst frame", worst, kept, tuple(by_worst)),
-        Study("network_parameters", "network", "The size of a network", mean, PARAMETERS, tuple(networks)),
+        Study("network_query", "Answering a query", mean, "one of many queries, change of frame included (s)", tuple(queries)),
+        Study("network_frame", "Reconstructing a frame", mean, "the surface of one more frame (s)", tuple(frames)),
+        Study("network_bytes_mean", "Keeping the shapes, mean over frames", mean, kept, tuple(by_mean)),
+        Study("network_bytes_worst", "Keeping the shapes, worst frame", worst, kept, tuple(by_worst)),
+        Study("network_parameters", "The size of a network", mean, PARAMETERS, tuple(networks)),
     ]
 
 
@@ -151,8 +151,13 @@ def baseline_candidates(trajectory: Trajectory, samples: DistanceSamples, grid: 
 
 
 def measured_shapes(candidates: Sequence[Candidate], trajectory: Trajectory, samples: DistanceSamples, effort: Effort) -> list[MeasuredShape]:
-    """Errors, bytes and times of every candidate. What cannot be made, or has a frame without a surface, keeps its place with the reason."""
+    """Errors, bytes and times of every candidate. What cannot be made, or has a frame without a surface, keeps its place with the reason.
+
+    Times are of frames between those whose errors are measured. A network has encoded most grid points by then, once for all shapes:
+    what those that are new cost is in `reconstruction_study`.
+    """
     frames = inner_frames(len(trajectory.times), effort.every, max(1, len(trajectory.cases)))
+    others = [(one + following) // 2 for one, following in pairwise(frames)] or frames
     truth = SurfaceDistance(trajectory.surface(0))
     made: dict[int, ShapeModel] = {}
     found: list[MeasuredShape] = []
@@ -167,8 +172,8 @@ def measured_shapes(candidates: Sequence[Candidate], trajectory: Trajectory, sam
         made[place] = model
         found.append(MeasuredShape(candidate, model.bytes, *errors))
     points = torch.from_numpy(samples.points[:: max(1, len(samples.points) // effort.queries)])
-    query = interleaved({str(place): partial(_ask, model, cycle(frames), points) for place, model in made.items()}, effort.repeats)
-    frame = interleaved({str(place): partial(_reconstruct, model, cycle(frames)) for place, model in made.items()}, effort.repeats)
+    query = interleaved({str(place): partial(_ask, model, cycle(others), points) for place, model in made.items()}, effort.repeats)
+    frame = interleaved({str(place): partial(_reconstruct, model, cycle(others)) for place, model in made.items()}, effort.repeats)
     return [
         replace(shape, query=query[str(place)].divided_by(len(points)), frame=frame[str(place)]) if place in made else shape
         for place, shape in enumerate(found)

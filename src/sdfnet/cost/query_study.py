@@ -61,7 +61,6 @@ def _batch_study(batch: int, answers: Mapping[str, Answer], errors: Mapping[str,
         notes.append(f"One query on {cores}: {'; '.join(f'{method} {duration_text(timing.median)}' for method, timing in timings.items())}.")
     return Study(
         f"query_{batch}",
-        "network",
         f"One query in batches of {batch:,}",
         "mean error of the distance near the surface against libigl in float64 (mm)",
         "one query (s)",

@@ -9,6 +9,7 @@ from sdfnet.data.store import DistanceSamples
 from sdfnet.errors import SdfnetError
 from sdfnet.evaluation.metrics import surface_errors
 from sdfnet.evaluation.reconstruct import Grid, surface_from_values, values_of_frames
+from sdfnet.evaluation.settings import EvaluationSettings
 from sdfnet.evaluation.sparse import exact_values
 from sdfnet.evaluation.sparse_network import SparseReconstruction
 from sdfnet.geometry.distance import SurfaceDistance
@@ -17,7 +18,6 @@ from sdfnet.models.networks import Networks
 from sdfnet.physics.trajectory import Trajectory
 
 RESOLUTIONS, QUICK_RESOLUTIONS = (32, 48, 64, 100, 144, 200, 256), (32, 64, 100)
-DEFAULT_RESOLUTION = 100  # of evaluation.resolution, the paper's
 SURFACE_SAMPLES = 65_536  # on each of two surfaces that are compared
 REPEATS, FEW_REPEATS = 5, 2
 DEAR_RESOLUTION = 144  # beyond it the whole grid takes seconds: few repeats
@@ -48,7 +48,7 @@ def reconstruction_study(networks: Networks, trajectory: Trajectory, samples: Di
             points += [Point(way, f"{resolution}^3", overrides=overrides, failure=str(failure)) for way in WAYS]
     title, error_label = "What reconstruction costs", "chamfer L1 of marching cubes on the exact distance, last frame (mm)"
     cost_label, share_of_whole = "network and marching cubes for one frame (s)", 1 / len(trajectory.times)
-    return Study("reconstruction", "reconstruction", title, error_label, cost_label, tuple(points), share_of_whole)
+    return Study("reconstruction", title, error_label, cost_label, tuple(points), share_of_whole)
 
 
 def _timed(networks: Networks, latents: torch.Tensor, grid: Grid, error: float, overrides: tuple[str, ...]) -> list[Point]:
@@ -61,7 +61,7 @@ def _timed(networks: Networks, latents: torch.Tensor, grid: Grid, error: float, 
     return [
         Point(
             way, f"{grid.resolution}^3", error, timings[way], {"network queries": counts[way]},
-            is_default=way == "sparse" and grid.resolution == DEFAULT_RESOLUTION, overrides=overrides if way == "sparse" else (),
+            is_default=way == "sparse" and grid.resolution == EvaluationSettings().resolution, overrides=overrides if way == "sparse" else (),
         )
         for way in WAYS
     ]  # fmt: skip

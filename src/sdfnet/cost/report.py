@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from plotly.offline import get_plotlyjs
 
 from sdfnet.cost.findings import findings_of, front_of, knee_of
-from sdfnet.cost.studies import Point, Study, Timing, duration_text
+from sdfnet.cost.studies import EXACT_MM, Point, Study, Timing, duration_text
 from sdfnet.data.store import written_whole
 
 COLOURS = ("#0b6e99", "#d1495b", "#2a9d5c", "#edae49", "#6a4c93", "#8d6b4f", "#00a6a6", "#9a9a9a", "#c06c84", "#3d5a80")
@@ -63,10 +63,15 @@ def text_of(studies: Sequence[Study], summary: Sequence[str]) -> list[str]:
     return [*summary, *(line for study in studies for line in ["", study.title, *(f"  {sentence}" for sentence in findings_of(study))])]
 
 
+def _is_drawn(point: Point) -> bool:
+    """Whether it has a place among the others: a reference without error lies far off them on a logarithmic axis."""
+    return point.is_measured and not (point.is_reference and point.pair[0] <= EXACT_MM)
+
+
 def _series(study: Study) -> dict[str, list[Point]]:
     series: dict[str, list[Point]] = {}
     for point in study.points:
-        if point.is_measured and not (point.is_reference and point.error_mm == 0):  # zero lies far off the others on a logarithmic axis
+        if _is_drawn(point):
             series.setdefault(point.method, []).append(point)
     return {method: sorted(points, key=lambda point: point.pair) for method, points in series.items()}
 
@@ -91,7 +96,7 @@ def _figure(study: Study) -> graph.Figure:
                      "arrayminus": [timing.median - timing.p5 for timing in timings]},
             text=[_hover(point) for point in points], hovertemplate="%{text}<extra></extra>",
         )  # fmt: skip
-    marked = [(point, "star", "default") for point in study.points if point.is_default and point.is_measured]
+    marked = [(point, "star", "default") for point in study.points if point.is_default and _is_drawn(point)]
     marked += [] if bend is None else [(bend, "diamond-open", "knee")]
     for point, symbol, name in marked:
         figure.add_scatter(
@@ -107,7 +112,7 @@ def _figure(study: Study) -> graph.Figure:
 
 
 def _picture(study: Study) -> Figure:
-    """The same diagram as a picture for a paper or a README."""
+    """The same diagram without knee and spread, as a picture for a paper or a README."""
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.subplots()
     series = _series(study)
@@ -117,7 +122,7 @@ def _picture(study: Study) -> Figure:
     if front:
         axes.plot(*zip(*[point.pair for point in front], strict=True), ":", color="#1c2430", linewidth=1, label="front")
     for point in study.points:
-        if point.is_default and point.is_measured:
+        if point.is_default and _is_drawn(point):
             axes.plot(*point.pair, "*", color="#edae49", markeredgecolor="#1c2430", markersize=15, label="default")
     if series:
         axes.set(xscale="log", yscale="log")
@@ -140,7 +145,6 @@ def _row(study: Study, point: Point) -> dict[str, Any]:
     timing = point.seconds
     return {
         "study": study.name,
-        "stage": study.stage,
         "method": point.method,
         "setting": point.setting,
         "error_mm": point.error_mm,

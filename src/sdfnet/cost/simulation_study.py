@@ -45,7 +45,6 @@ def simulation_time_study(scene: Scene, mesh: TetMesh, duration: float | None = 
     found = [_points_in_time(base, scene, quick) for base in bases]
     return Study(
         name="simulation_time",
-        stage="simulation",
         title="What the time step costs",
         error_label=f"RMS displacement error against {_reference_words(bases)}, same mass (mm)",
         cost_label=f"set-up and steps, {part_words(scene, scene)} (s)",

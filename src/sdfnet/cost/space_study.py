@@ -56,7 +56,6 @@ def simulation_space_study(scene: Scene, mesh: TetMesh, mesh_seconds: float, dur
     points.append(replace(_point_in_space(scene, quadratic, lambda: best, at, reference), is_reference=True))
     return Study(
         name="simulation_space",
-        stage="simulation",
         title="What mesh and elements cost",
         error_label="RMS displacement error against quadratic tets on the scene's mesh (mm)",
         cost_label=f"mesh, set-up and steps, {part_words(whole, whole)} (s)",

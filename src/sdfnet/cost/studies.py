@@ -75,7 +75,6 @@ class Study:
     """One diagram of error against time."""
 
     name: str  # file name and anchor: simulation_time
-    stage: str  # simulation, distances, training, network or reconstruction
     title: str
     error_label: str  # what the error is measured against: "RMS displacement error against the exact-in-time solution (mm)"
     cost_label: str  # what the seconds or bytes are of: "for 10 ms of motion (s)"

@@ -19,6 +19,7 @@ from sdfnet.cost.sweep_table import (
     Job,
     Row,
     Target,
+    is_of,
     knee_of,
     overrides_alone,
     rows_of,
@@ -33,11 +34,11 @@ def table_of(jobs: Sequence[Job], target: Target) -> Table:
     """The sweep as a table: a row for every setting of which a job finished."""
     rows = rows_of(jobs, target)
     shared = shared_overrides(jobs)
-    front = pareto_front([(getattr(row, target.metric), float(row.decoder_parameters)) for row in rows])
+    front = pareto_front([(row.error(target), row.size(target)) for row in rows])
     smallest, bend = smallest_settled(jobs, target), knee_of(rows, target)
     table = Table(
         title=f"chamfer L1, median over the seeds (lowest to highest); good enough: {target.words()}",
-        caption="size: parameters of the decoder; kB: of all frames, latents included; s: of training",
+        caption="size: parameters of the decoder; kB: of all frames, as stored, latents included; s: of training",
         title_justify="left",
         caption_justify="left",
     )
@@ -67,7 +68,7 @@ def sentences_of(jobs: Sequence[Job], target: Target) -> list[str]:
     sentences += _answer(jobs, rows, target)
     if bend is not None:
         sentences.append(
-            f"The knee is at {bend.decoder_parameters:,} parameters ({_millimetres(getattr(bend, target.metric))}): from there on more parameters buy less. "
+            f"The knee is at {_size(bend)} ({_millimetres(bend.error(target))}): from there on more of them buy less. "
             f"{command_of(bend.overrides, bend.threads)}"
         )
     return sentences + _mixtures([job.result for job in jobs if job.result is not None])
@@ -81,21 +82,21 @@ def _answer(jobs: Sequence[Job], rows: Sequence[Row], target: Target) -> list[st
     if any(target.allowed(result) is None for result in results):
         return [f"{done}; KNN-1 has no surface in some frame, so there is nothing to be as good as: set target.chamfer_l1_mm."]
     if possible is None:
-        nearest = min(rows, key=lambda row: float(getattr(row, target.metric)), default=None)
-        best = "" if nearest is None else f"the best has {_millimetres(getattr(nearest, target.metric))} with {nearest.decoder_parameters:,} parameters"
+        nearest = min(rows, key=lambda row: row.error(target), default=None)
+        best = "" if nearest is None else f"the best has {_millimetres(nearest.error(target))} with {_size(nearest)}"
         return [f"{done}; none is as good as {target.words()}: {best or 'no job finished'}."]
     if smallest is None:
         sentences = [f"{done}; of none that is as good as {target.words()} every seed finished."]
     else:
         sentences = [
-            f"{done}. The smallest decoder as good as {target.words()} has {smallest.decoder_parameters:,} parameters, {smallest.query_bytes / 1e3:.1f} kB "
-            f"with the latents: {smallest.chamfer_l1_mm_mean:.3f} mm mean, {smallest.chamfer_l1_mm_worst:.3f} mm in the worst frame.",
+            f"{done}. The smallest network as good as {target.words()} has {_size(smallest)}: "
+            f"{smallest.chamfer_l1_mm_mean:.3f} mm mean, {smallest.chamfer_l1_mm_worst:.3f} mm in the worst frame.",
             f"Train it again: {command_of(smallest.overrides, smallest.threads)}",
         ]
     if possible != smallest:
         asked = sum(job.setting == possible.setting for job in jobs)
         name = short_setting(possible.setting, shared_overrides(jobs))
-        sentences.append(f"{name} may do with {possible.decoder_parameters:,} parameters: {possible.seeds} of {asked} seeds finished.")
+        sentences.append(f"{name} may do with {_size(possible)}: {possible.seeds} of {asked} seeds finished.")
     return sentences
 
 
@@ -118,7 +119,7 @@ def _mixtures(results: Sequence[dict[str, Any]]) -> list[str]:
 
 def command_of(overrides: Sequence[str], threads: int | None = None) -> str:
     """The command line that trains a job alone, on as many threads as it had: on others a training of so many seconds takes other steps."""
-    given = [] if threads is None or any(override.startswith("trainer.threads=") for override in overrides) else [f"trainer.threads={threads}"]
+    given = [] if threads is None or any(is_of(override, "trainer.threads=") for override in overrides) else [f"trainer.threads={threads}"]
     return shlex.join(["python", "train.py", *overrides_alone(overrides), *given])
 
 
@@ -144,6 +145,10 @@ def write_tables(sweep_folder: Path, jobs: Sequence[Job], target: Target) -> Non
 def _spread(median: float, around: tuple[float, float]) -> str:
     middle, low, high = ("no surface" if value == math.inf else f"{value:.3f}" for value in (median, *around))
     return low if low == high else f"{middle} ({low} to {high})"
+
+
+def _size(row: Row) -> str:
+    return f"{row.decoder_parameters:,} parameters, {row.query_bytes / 1e3:.1f} kB with the latents"
 
 
 def _millimetres(error: float) -> str:

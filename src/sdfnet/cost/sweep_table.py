@@ -11,21 +11,23 @@ from typing import Any
 from sdfnet.cost.frontier import knee
 from sdfnet.data.store import write_json
 from sdfnet.errors import ConfigurationError
-from sdfnet.evaluation.field_errors import FieldErrors, VolumeErrors
+from sdfnet.evaluation.field_errors import EikonalErrors, FieldErrors, VolumeErrors
 from sdfnet.evaluation.metrics import SurfaceErrors
 
 JOB_FILE, RESULT_FILE, PLAN_FILE = "job.json", "result.json", "planned.json"
 FINISHED, FAILED, LEFT_OUT, RUNNING, NOT_STARTED = "finished", "failed", "left out", "running", "not started"
 WITHOUT_EFFECT = ("hydra.", "hydra/", "data_folder=", "target.")  # overrides that change neither a job nor its result
 FRAMES = ("worst", "mean")
+SIZES = ("decoder_parameters", "query_bytes")
 JOB_COLUMNS = (
     "decoder_parameters", "encoder_parameters", "query_bytes", "chamfer_l1_mm_mean", "chamfer_l1_mm_worst", "knn1_chamfer_l1_mm_mean",
     "knn1_chamfer_l1_mm_worst", "floor_chamfer_l1_mm_mean", "hausdorff_mm_worst", "normal_degrees_mean", "failed_frames", "distinct_latents",
     "train_seconds",
 )  # fmt: skip
 ERRORS = tuple(f"{entry.name}_{frames}" for kind in (SurfaceErrors, VolumeErrors, FieldErrors) for entry in fields(kind) for frames in FRAMES)
+EIKONAL = tuple(entry.name for entry in fields(EikonalErrors))
 # What a sweeper may minimise; those of frames never trained on are there where the split leaves frames out.
-OBJECTIVES = tuple(dict.fromkeys((*JOB_COLUMNS, *ERRORS, *(f"unseen_chamfer_l1_mm_{frames}" for frames in FRAMES))))
+OBJECTIVES = tuple(dict.fromkeys((*JOB_COLUMNS, *ERRORS, *EIKONAL, *(f"unseen_chamfer_l1_mm_{frames}" for frames in FRAMES))))
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,15 @@ class Target:
 
     chamfer_l1_mm: float | None = None  # none: as good as KNN-1, the paper's "ideal", on the same frames
     frames: str = "worst"  # worst or mean: which of a run's errors must be that small
-    skip_larger: bool = False  # leave out jobs whose decoder is larger than one that already is good enough: they cannot win
+    size: str = "decoder_parameters"  # what is to be small: these, or query_bytes, the decoder as it is stored and the latents of all frames
+    skip_larger: bool = False  # leave out jobs that are larger than a network that already is good enough: they cannot win
     objectives: tuple[str, ...] = ("chamfer_l1_mm_mean",)  # entries of result.json that a sweeper such as Optuna minimises
 
     def __post_init__(self) -> None:
         if self.frames not in FRAMES:
             raise ConfigurationError(f"target.frames must be one of {', '.join(FRAMES)}; found '{self.frames}'")
+        if self.size not in SIZES:
+            raise ConfigurationError(f"target.size must be one of {', '.join(SIZES)}; found '{self.size}'")
         if self.chamfer_l1_mm is not None and not self.chamfer_l1_mm > 0:
             raise ConfigurationError(f"target.chamfer_l1_mm must be positive, found {self.chamfer_l1_mm}")
         if not self.objectives:
@@ -79,7 +84,7 @@ class Job:
     @property
     def setting(self) -> tuple[str, ...]:
         """What jobs of one row share: its overrides without the seed and without those that change no result."""
-        return tuple(override for override in self.overrides if not override.startswith(("seed=", *WITHOUT_EFFECT)))
+        return tuple(override for override in self.overrides if not (is_of(override, "seed=") or is_of(override, *WITHOUT_EFFECT)))
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,14 @@ class Row:
     train_seconds: float
     threads: int | None  # of PyTorch, of the job of these overrides; none of a result that does not say it
     is_within_target: bool  # by the median over the seeds, never by the best of them
+
+    def error(self, target: Target) -> float:
+        """The error (mm) that the target names."""
+        return float(getattr(self, target.metric))
+
+    def size(self, target: Target) -> float:
+        """The size that the target names: parameters or bytes."""
+        return float(getattr(self, target.size))
 
 
 def write_plan(sweep_folder: Path, planned: Mapping[str, Sequence[str]] | None) -> None:
@@ -143,13 +156,18 @@ def unplanned(sweep_folder: Path) -> list[str]:
 
 
 def rows_of(jobs: Sequence[Job], target: Target) -> list[Row]:
-    """Finished jobs, those of one setting summed up, by the size of their decoder and then their error."""
+    """Finished jobs, those of one setting summed up, by the size that the target names, then by the error that it does."""
     finished: dict[tuple[str, ...], list[Job]] = {}
     for job in jobs:
         if job.result is not None:
             finished.setdefault(job.setting, []).append(job)
     rows = [_row(setting, seeds, target) for setting, seeds in finished.items()]
-    return sorted(rows, key=lambda row: (row.decoder_parameters, row.chamfer_l1_mm_mean))
+    return sorted(rows, key=lambda row: (row.size(target), row.error(target)))
+
+
+def is_of(override: str, *names: str) -> bool:
+    """Whether an override begins with one of these, also behind the signs with which Hydra adds and removes."""
+    return override.lstrip("+~").startswith(names)
 
 
 def shared_overrides(jobs: Sequence[Job]) -> set[str]:
@@ -159,12 +177,12 @@ def shared_overrides(jobs: Sequence[Job]) -> set[str]:
 
 def short_setting(overrides: Sequence[str], shared: set[str]) -> str:
     """The overrides that not every job has, for a table or a sentence."""
-    return " ".join(override for override in overrides if override not in shared and not override.startswith(WITHOUT_EFFECT)) or "(as it comes)"
+    return " ".join(override for override in overrides if override not in shared and not is_of(override, *WITHOUT_EFFECT)) or "(as it comes)"
 
 
 def overrides_alone(overrides: Sequence[str]) -> tuple[str, ...]:
     """The overrides that train a job alone, also where they name a page that makes a sweep of every command."""
-    return (*overrides, *(["hydra.mode=RUN"] if any(one.lstrip("+~").startswith("sweep=") for one in overrides) else []))
+    return (*overrides, *(["hydra.mode=RUN"] if any(is_of(override, "sweep=") for override in overrides) else []))
 
 
 def smallest_settled(jobs: Sequence[Job], target: Target) -> Row | None:
@@ -174,8 +192,8 @@ def smallest_settled(jobs: Sequence[Job], target: Target) -> Row | None:
 
 
 def knee_of(rows: Sequence[Row], target: Target) -> Row | None:
-    """The row after which more parameters buy less and less."""
-    place = knee([(getattr(row, target.metric), float(row.decoder_parameters)) for row in rows])
+    """The row after which more size buys less and less."""
+    place = knee([(row.error(target), row.size(target)) for row in rows])
     return None if place is None else rows[place]
 
 

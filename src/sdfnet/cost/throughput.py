@@ -19,7 +19,7 @@ from torch.utils.data import DataLoader, Dataset
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.settings import BatchSettings
 from sdfnet.data.store import read_distances, read_trajectory
-from sdfnet.errors import ConfigurationError
+from sdfnet.errors import ConfigurationError, TrainingError
 from sdfnet.models.latents import latent_source_of
 from sdfnet.models.mlp import mlp
 from sdfnet.models.networks import Networks
@@ -83,11 +83,14 @@ class InterleavedRounds(Callback):
         self._began = time.perf_counter()
 
     def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
-        """Read the clock, then take one plain step."""
+        """Read the clock, then have the plain loop take PLAIN_STEPS. Raises TrainingError when its process has ended."""
         batch = self._family.step(0, 0)
         self._sdfnet.append(batch.distances.numel() * self._family.steps_per_epoch / (time.perf_counter() - self._began))
-        self._connection.send(True)
-        self._plain.append(self._connection.recv())
+        try:
+            self._connection.send(True)
+            self._plain.append(self._connection.recv())
+        except (EOFError, OSError) as error:
+            raise TrainingError("the plain loop's process has ended, perhaps for want of memory; leave throughput out of studies") from error
 
     def result(self) -> Throughput:
         """Medians without the warm-up round."""

@@ -70,7 +70,7 @@ def training_study(
         points.append(Point(method, setting, near_error_mm(networks, family), seconds, counts, size, budget.is_default, overrides))
         trained.append(Trained(networks, points[-1]))
     error_label = "mean error of the distance within 1 % of D of the surface (mm)"
-    study = Study("training", "training", "What training costs", error_label, "training on the CPU (s)", tuple(points))
+    study = Study("training", "What training costs", error_label, "training on the CPU (s)", tuple(points))
     return study, trained
 
 

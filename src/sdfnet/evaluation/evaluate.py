@@ -12,20 +12,19 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from sdfnet.checked import Checked
 from sdfnet.data.store import DistanceSamples
-from sdfnet.errors import ConfigurationError, ReconstructionError
+from sdfnet.errors import ReconstructionError
 from sdfnet.evaluation.baselines import NearestSample, nearest_sample_bytes
 from sdfnet.evaluation.field_errors import EikonalErrors, FieldErrors, VolumeErrors, eikonal_error, field_errors, volume_errors
 from sdfnet.evaluation.metrics import NO_SURFACE, SurfaceErrors, aggregate, surface_errors
 from sdfnet.evaluation.reconstruct import Grid, surface_from_values
+from sdfnet.evaluation.settings import EvaluationSettings
 from sdfnet.evaluation.sparse import SparseValues, exact_values
 from sdfnet.evaluation.sparse_network import SparseReconstruction
 from sdfnet.geometry.distance import SurfaceDistance
 from sdfnet.geometry.surface import Surface
 from sdfnet.models.networks import Networks
 from sdfnet.models.quantise import quantised
-from sdfnet.models.storage import STORAGES
 from sdfnet.physics.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
@@ -33,34 +32,6 @@ logger = logging.getLogger(__name__)
 PREFIX = {"network": "", "knn1": "knn1_", "floor": "floor_"}  # of a method's metrics in the result
 METHODS = tuple(PREFIX)
 EIKONAL_POINTS = 20_000
-
-
-@dataclass(frozen=True)
-class EvaluationSettings(Checked):
-    """What `evaluation.*` sets. The defaults are the paper's 100^3 grid and METRICS' sample counts."""
-
-    resolution: int = 100  # grid points along each axis of the sampling box
-    every: int = 1  # measure every so many frames; the last, and those never trained on, always
-    surface_samples: int = 131_072  # on each of two surfaces that are compared
-    volume_samples: int = 1_000_000  # for the overlap of volumes, on the volume frames only
-    volume_frames: int = 3  # how many frames, evenly spaced, get volume, field and eikonal errors
-    mesh_frames: tuple[int, ...] = (-1,)  # frames whose meshes are written; negative ones count from the end
-    storage: str = "float32"  # what decoder and latents are rounded to before they are measured: float32 (as trained), fp16 or int8
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.every < 1 or self.volume_frames < 1 or self.surface_samples < 1 or self.volume_samples < 1:
-            raise ConfigurationError("evaluation.every, volume_frames, surface_samples and volume_samples must each be at least 1")
-        if self.resolution < 2:
-            raise ConfigurationError(f"evaluation.resolution must be at least 2, found {self.resolution}")
-        if self.storage not in STORAGES:
-            raise ConfigurationError(f"evaluation.storage must be one of {', '.join(STORAGES)}; found '{self.storage}'")
-
-    def require_frames(self, count: int) -> None:
-        """Raise ConfigurationError when a frame of `mesh_frames` does not exist among `count`."""
-        bad = [frame for frame in self.mesh_frames if not -count <= frame < count]
-        if bad:
-            raise ConfigurationError(f"evaluation.mesh_frames must lie in [{-count}, {count - 1}] for {count} frames, found {bad}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +107,7 @@ def evaluate(
         fields = marched.fields(latents[place], frame, truth)
         surfaces = {method: _surface_or_none(found, grid, method, frame, evaluation.failures) for method, found in fields.items()}
         clock.stop("marching_cubes")
+        surfaces["network"] = marched.refined(surfaces["network"], latents[place], settings.refine_steps)
         for method, surface in surfaces.items():
             errors = NO_SURFACE if surface is None else surface_errors(surface, true, mesh.diagonal, settings.surface_samples, true_distance=truth)
             evaluation.surface_errors[method][frame] = errors
@@ -244,3 +216,11 @@ class _Marched:
         fields["floor"] = exact_values(truth, self._grid)
         self._clock.stop("floor_values")
         return fields
+
+    def refined(self, surface: Surface | None, latent: Tensor, steps: int) -> Surface | None:
+        """The network's surface of a frame with its vertices moved; as it is without steps."""
+        if surface is None or not steps:
+            return surface
+        found = self._network.refined(surface, latent, steps)
+        self._clock.stop("refinement")
+        return found

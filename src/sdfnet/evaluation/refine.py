@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from sdfnet.errors import ConfigurationError
 from sdfnet.geometry.surface import Surface
 
 
@@ -14,10 +13,8 @@ def refined_surface(surface: Surface, field: Callable[[Float32[Tensor, "points 3
     """Newton steps x - f(x) g / |g|^2 along the gradient g of the field, for every vertex x, none longer than `longest` (m); the faces stay.
 
     `longest` bounds what a step can do where the gradient nearly vanishes; half a cell of the grid keeps a triangle
-    from turning over. A vertex whose gradient is zero stays. Raises ConfigurationError when there are fewer than no steps.
+    from turning over. A vertex whose gradient is zero stays.
     """
-    if steps < 0:
-        raise ConfigurationError(f"refine_steps must be at least 0, found {steps}")
     vertices = torch.from_numpy(surface.vertices)
     for _ in range(steps):
         points = vertices.float().requires_grad_()

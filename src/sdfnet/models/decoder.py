@@ -9,6 +9,7 @@ from sdfnet.models.mlp import ACTIVATION_MODULES, mlp
 from sdfnet.models.modulation import modulated
 from sdfnet.models.settings import ModelSettings
 from sdfnet.models.siren import initialise_siren
+from sdfnet.models.storage import stored_bytes
 
 CHUNK = 16_384  # points at once whose activations stay in the cache
 OUTPUT_UNIT = 0.1  # of the mean half side: 1 cm on the bunny
@@ -92,6 +93,10 @@ class SdfCalculator(nn.Module):
     def parameter_count(self) -> int:
         """Weights, biases, learned grids and the fixed frequencies: what must be stored to answer a query, the latents apart."""
         return sum(rows.numel() for rows, _ in self.stored_rows("float32"))
+
+    def stored_bytes(self, storage: str) -> int:
+        """Bytes of all that `parameter_count` counts, stored that way."""
+        return sum(stored_bytes(len(rows), rows.shape[1], kept_as) for rows, kept_as in self.stored_rows(storage))
 
     def stored_rows(self, storage: str) -> list[tuple[Float[Tensor, "rows columns"], str]]:
         """All that is counted, as tables with a row for each scale of int8, and how each is stored when the networks are as `storage`.

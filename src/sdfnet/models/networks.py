@@ -39,11 +39,10 @@ class Networks(nn.Module):
 
     def sizes(self, frames: int) -> dict[str, int]:
         """Parameters of each network, and the bytes that answer a query of any of `frames` shapes: decoder and latents as stored."""
-        decoder_bytes = sum(stored_bytes(len(rows), rows.shape[1], kept_as) for rows, kept_as in self.decoder.stored_rows(self.storage))
         return {
             "decoder_parameters": self.decoder.parameter_count,
             "encoder_parameters": sum(weights.numel() for weights in self.encoder.parameters()),
-            "query_bytes": decoder_bytes + stored_bytes(frames, self.settings.latent, self.storage),
+            "query_bytes": self.decoder.stored_bytes(self.storage) + stored_bytes(frames, self.settings.latent, self.storage),
         }
 
 
