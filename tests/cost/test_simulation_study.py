@@ -92,7 +92,7 @@ def test_halving_the_step_quarters_leapfrogs_error_and_halves_symplectic_eulers(
 
 def test_notes_tell_the_fitted_orders_and_how_far_the_masses_lie_apart(in_time: Study) -> None:
     text = " ".join(in_time.notes)
-    orders = {name: float(order) for name, order in re.findall(r"(\w+, \w+) mass: order ([\d.]+)", text)}
+    orders = {name: float(order) for name, order in re.findall(r"(\w+, \w+) mass: observed order ([\d.]+)", text)}
     assert set(orders) == {"leapfrog, lumped", "euler, lumped", "leapfrog, consistent", "euler, consistent"}
     assert orders["leapfrog, lumped"] == pytest.approx(2, abs=0.2)
     # A leapfrog shifted by half a step, whose second order is still seen at the longest; so coarse a solid has few modes to average over.

@@ -160,7 +160,7 @@ def _reference_words(bases: Sequence[Plan]) -> str:
 
 
 def _notes(found: Sequence[tuple[list[Point], Displacements | None]], masses: Sequence[str], studied: str) -> Iterator[str]:
-    """The explicit integrators' fitted orders, their errors in parts of the motion that was studied, and how far the masses lie apart."""
+    """The explicit integrators' observed orders, their errors in parts of the motion that was studied, and how far the masses lie apart."""
     for points, reference in found:
         for method in dict.fromkeys(point.method for point in points if point.method.startswith(EXPLICIT_WORDS)):
             series = [point for point in points if point.method == method and point.is_measured]
@@ -168,7 +168,8 @@ def _notes(found: Sequence[tuple[list[Point], Displacements | None]], masses: Se
                 continue
             errors, steps = [point.pair[0] for point in series], [point.counts["steps"] for point in series]
             order, motion = -np.polyfit(np.log(steps), np.log(errors), 1)[0], rms_mm(reference, np.zeros_like(reference))
-            yield f"{method}: order {order:.2f}, {100 * max(errors) / motion:.2g} % of the RMS displacement at the longest of these steps."
+            share = 100 * max(errors) / motion
+            yield f"{method}: observed order {order:.2f} over {len(steps)} steps, {share:.2g} % of the RMS displacement at the longest of them."
     references = dict(zip(masses, [reference for _, reference in found], strict=True))
     lumped, consistent = references.get("lumped"), references.get("consistent")
     if lumped is not None and consistent is not None:
