@@ -10,7 +10,7 @@ from sdfnet.models.settings import ModelSettings
 from sdfnet.models.storage import STORAGES, as_stored
 
 SHAPES = 0.05 * torch.randn(5, 7, 3, generator=torch.Generator().manual_seed(4))
-WEIGHTS, BIASES, FREQUENCIES, ROWS = 12 * 8 + 4 * 8 + 8 * 8 + 8, 8 + 8 + 1, 18, 8 + 8 + 8 + 1
+WEIGHTS, BIASES, FREQUENCIES, ROWS = 12 * 8 + 4 * 8 + 8 * 8 + 8, 8 + 8 + 1, 18, 12 + 8 + 8 + 1
 BYTES = {
     "float32": 4 * (WEIGHTS + BIASES + FREQUENCIES + 101 * 4),
     "fp16": 2 * (WEIGHTS + BIASES + 101 * 4) + 4 * FREQUENCIES,
@@ -69,6 +69,14 @@ def test_int8_rounds_weights_grids_and_latents_but_no_bias_and_no_frequency(enco
     assert same - box == {"from_latent.bias", "layers.0.bias", "layers.2.bias", "encoding.frequencies" if encoding == "fourier" else "encoding.extent"}
     assert not torch.equal(rounded.latents(SHAPES), networks.latents(SHAPES))
     assert torch.equal(rounded.latents(SHAPES), as_stored(networks.latents(SHAPES), "int8"))
+
+
+@torch.no_grad()
+def test_int8_keeps_features_whose_weights_are_small_beside_those_of_others(networks: Networks) -> None:
+    weights = networks.decoder.from_point.weight
+    weights[:, 0] *= 1000
+    rounded = quantised(networks, "int8").decoder.from_point.weight
+    torch.testing.assert_close(rounded[:, 1:], weights[:, 1:], rtol=0, atol=float(weights[:, 1:].abs().max()) / 254)
 
 
 def test_what_cannot_be_quantised_is_refused(networks: Networks) -> None:

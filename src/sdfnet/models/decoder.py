@@ -101,12 +101,14 @@ class SdfCalculator(nn.Module):
     def stored_rows(self, storage: str) -> list[tuple[Float[Tensor, "rows columns"], str]]:
         """All that is counted, as tables with a row for each scale of int8, and how each is stored when the networks are as `storage`.
 
-        Frequencies always stay in float32, and biases beside int8 weights.
+        Frequencies always stay in float32, and biases beside int8 weights. The first layer's weights have a row for each feature of
+        the point: those of slow features are ten times as large as those of fast ones, and a scale for each output would round the fast ones away.
         """
         tables = []
         for name, weights in self.named_parameters():
             is_kept = storage == "int8" and name.endswith("bias")
-            tables.append((weights if weights.ndim == 2 else weights[None], "float32" if is_kept else storage))
+            rows = weights.T if weights is self.from_point.weight else weights if weights.ndim == 2 else weights[None]
+            tables.append((rows, "float32" if is_kept else storage))
         if isinstance(self.encoding, FourierFeatures):
             tables.append((self.encoding.frequencies, "float32"))
         return tables
