@@ -32,6 +32,9 @@ def test_findings_give_the_slope_of_a_power_law_and_say_when_the_default_is_beat
     assert "The default, method, asked for (0.05 mm, 10 s), is as quick as method, digit 2 (0.01 mm, 9 s), which is no less accurate." in findings_of(
         study("simulation", *line, noisy)
     )
+    as_small = replace(point(0.05, None, "asked for", is_default=True), bytes=1000)
+    smaller = replace(point(0.01, None, "other"), bytes=990)
+    assert "is as small as method, other (0.01 mm, 990 bytes), which is no less accurate." in " ".join(findings_of(study("network", as_small, smaller)))
     assert "The default is on the front: method, digit 1" in " ".join(
         findings_of(study("simulation", line[0], point(0.1, 3.0, "digit 1", is_default=True), line[2]))
     )

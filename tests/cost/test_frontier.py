@@ -45,6 +45,7 @@ def test_factor_per_digit_are_those_of_a_power_law() -> None:
     errors = np.logspace(-4, 0, 9)
     assert factor_per_digit([(error, 3 * error**-0.5) for error in errors]) == pytest.approx(math.sqrt(10), rel=1e-12)
     assert factor_per_digit([(1.0, 1.0)]) is None
+    assert factor_per_digit([(1.0, 1.0), (0.9, 5.0)]) is None  # a tenth would be a guess
 
 
 @pytest.mark.parametrize("seed", range(4))

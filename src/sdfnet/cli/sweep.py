@@ -115,7 +115,8 @@ def finish(sweep_folder: Path, target: Target, given_up: Collection[Path] = ()) 
         console.print(f"no job of the sweep began in '{sweep_folder}', so there is no table")
         return False
     write_tables(sweep_folder, jobs, target)
-    console.print(table_of(jobs, target))
+    if any(job.result is not None for job in jobs):
+        console.print(table_of(jobs, target))
     console.print("\n".join(sentences_of(jobs, target)))
     others = unplanned(sweep_folder)
     if others:

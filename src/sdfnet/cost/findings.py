@@ -12,6 +12,7 @@ STUDIES_OF_THE_WHOLE = {  # whose overrides can be given together, and which err
     "training": "mean distance error within 1 % of the diagonal",
     "reconstruction": "chamfer L1",
 }
+SAME = 1.05  # costs that differ by less are called the same
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,11 @@ def _of_default(point: Point, front: Sequence[Point]) -> str:
     if point in front:
         return f"The default is on the front: {point.words()}."
     better = [one for one in front if one.pair[0] <= point.pair[0]][-1]  # the cheapest that is no less accurate
-    if point.seconds is not None and better.seconds is not None and point.seconds.p5 <= better.seconds.p95:
-        return f"The default, {point.words()}, is as quick as {better.words()}, which is no less accurate."
+    factor = point.pair[1] / better.pair[1]
+    if factor < SAME or (point.seconds is not None and better.seconds is not None and point.seconds.p5 <= better.seconds.p95):
+        return f"The default, {point.words()}, is as {'small' if point.seconds is None else 'quick'} as {better.words()}, which is no less accurate."
     cheaper = "smaller" if point.seconds is None else "quicker"
-    return f"The default, {point.words()}, is beaten by {better.words()}: {_times(point.pair[1] / better.pair[1])} {cheaper} and no less accurate."
+    return f"The default, {point.words()}, is beaten by {better.words()}: {_times(factor)} {cheaper} and no less accurate."
 
 
 def _times(factor: float) -> str:

@@ -39,9 +39,9 @@ def knee(pairs: Sequence[Pair]) -> int | None:
 
 
 def factor_per_digit(pairs: Sequence[Pair]) -> float | None:
-    """How many times the second cost grows when the first falls to a tenth, fitted along the front; None for fewer than two points."""
+    """How many times the second cost grows when the first falls to a tenth, fitted along the front; None for a front that spans less than half of that."""
     front = pareto_front(pairs)
-    if len(front) < 2:
+    if len(front) < 2 or pairs[front[-1]][0] < math.sqrt(10) * pairs[front[0]][0]:
         return None
     errors, costs = np.log10([pairs[place] for place in front]).T
     return float(10 ** -np.polyfit(errors, costs, 1)[0])

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
@@ -103,12 +104,20 @@ def _figure(study: Study) -> graph.Figure:
             x=[point.pair[0]], y=[point.pair[1]], mode="markers", name=name, text=[_hover(point)], hovertemplate="%{text}<extra></extra>",
             marker={"symbol": symbol, "size": 17, "color": "#edae49" if name == "default" else "#1c2430", "line": {"width": 1.5, "color": "#1c2430"}},
         )  # fmt: skip
-    axis = {"type": "log", "showgrid": True, "gridcolor": "#e8ecf0", "exponentformat": "power", "automargin": True}
+    pairs = [point.pair for points in _series(study).values() for point in points]
+    across, up = _axis([error for error, _ in pairs]), _axis([cost for _, cost in pairs])
     figure.update_layout(
-        template="plotly_white", margin={"l": 10, "r": 10, "t": 40, "b": 10}, hovermode="closest", xaxis=axis, yaxis=axis,
+        template="plotly_white", margin={"l": 10, "r": 10, "t": 40, "b": 10}, hovermode="closest", xaxis=across, yaxis=up,
         legend={"orientation": "h", "yanchor": "top", "y": -0.1, "x": 0, "font": {"size": 11}},
     )  # fmt: skip
     return figure
+
+
+def _axis(values: Sequence[float]) -> dict[str, Any]:
+    """A logarithmic axis; over one or two decades with labels at 2 and 5, where Plotly would set all nine on top of each other."""
+    decades = math.log10(max(values) / min(values)) if values else 0.0
+    few = {"dtick": "D2"} if 0.7 < decades < 2.5 else {}
+    return {"type": "log", "showgrid": True, "gridcolor": "#e8ecf0", "exponentformat": "power", "automargin": True, **few}
 
 
 def _picture(study: Study) -> Figure:
