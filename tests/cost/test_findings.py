@@ -90,6 +90,14 @@ def test_whole_chooses_nothing_that_no_command_can_be_told_to_do() -> None:
     assert found.points[3].setting == "s", "the whole grid is quicker and cannot be asked for"
 
 
+def test_whole_keeps_the_default_where_another_setting_saves_next_to_nothing() -> None:
+    default = point(0.001, 1.5, "leapfrog", is_default=True)
+    for quicker, chosen in ((1.0, "leapfrog"), (0.1, "other")):  # of a whole of 106 s
+        found = cheapest_whole([study("simulation_time", default, point(0.3, quicker, "other", overrides=("a=1",))), DISTANCES, TRAINING, GRID], 0.45, 0.0)
+        assert found is not None
+        assert found.points[0].setting == chosen
+
+
 @pytest.mark.parametrize("missing", STUDIES)
 def test_whole_is_not_told_of_a_part_of_its_studies(missing: Study) -> None:
     failed = replace(missing, points=(point(None, None, failure="refused", is_default=True),))

@@ -31,6 +31,7 @@ from sdfnet.data.store import DistanceSamples, described
 from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.metrics import surface_errors
 from sdfnet.evaluation.reconstruct import Grid
+from sdfnet.evaluation.settings import EvaluationSettings
 from sdfnet.models.networks import CHECKPOINT_PREFIX, RECORD, Networks, load_networks
 from sdfnet.models.quantise import quantised
 from sdfnet.models.settings import ModelSettings
@@ -77,7 +78,7 @@ def trained(trajectory: Trajectory, samples: DistanceSamples, folder: Path, vert
     weights = {CHECKPOINT_PREFIX + name: values for name, values in networks.state_dict().items()}
     torch.save({RECORD: record, "state_dict": weights}, folder / "checkpoints" / "last.ckpt")
     result: dict[str, Any] = {**networks.sizes(FRAMES), "chamfer_l1_mm_mean": 0.25, "chamfer_l1_mm_worst": 0.5, "failed_frames": 0, "frames": FRAMES}
-    result |= {"train_seconds": 1.0, "storage": "float32", "settings": described(ASKED)}
+    result |= {"train_seconds": 1.0, "storage": "float32", "settings": described(ASKED | {"evaluation": EvaluationSettings(resolution=40)})}
     return Job(folder, ("model.width=8", "seed=1"), FINISHED, result=result)
 
 
@@ -174,7 +175,12 @@ def test_network_of_a_sweep_is_measured_as_every_other_is(ball_family: ShapeFami
     monkeypatch.setattr(network_study, "networks_trained_on", lambda files, path: networks)
     small = Effort(every=99, resolution=16, surface_samples=100, queries=50, repeats=1)
     grid = grid_of(samples, small)
-    result = networks.sizes(FRAMES) | {"chamfer_l1_mm_mean": None, "chamfer_l1_mm_worst": None, "train_seconds": 1.0, "settings": described(ASKED)}
+    result = networks.sizes(FRAMES) | {
+        "chamfer_l1_mm_mean": None,
+        "chamfer_l1_mm_worst": None,
+        "train_seconds": 1.0,
+        "settings": described(ASKED | {"evaluation": EvaluationSettings(resolution=40)}),
+    }
     of_sweep = sweep_candidates([Job(Path("run"), (), FINISHED, result=result)], shapes, grid, {}, ASKED)
     swept, at_hand = measured_shapes([*of_sweep, network_candidate("at hand", networks, shapes, grid)], shapes, samples, small)
     assert swept.mean_mm is not None
@@ -232,11 +238,11 @@ def test_seeds_of_a_setting_are_one_point_with_their_median_and_never_the_luckie
     monkeypatch.setattr(network_study, "networks_trained_on", recorded)
     (point,) = sweep_candidates(seeds_of(job, [0.4, 0.1, 0.2]), trajectory, grid_of(samples, SMALL), {}, ASKED)
     assert point.overrides == ("model.width=8", "seed=2")
-    assert "model.width=8, the middle one of 3 seeds (0.1 mm to 0.4 mm in their runs), " in point.setting
+    assert "model.width=8, the middle one of 3 seeds (0.1 mm to 0.4 mm in their runs, on 40^3 points), " in point.setting
     point.make()
     assert [path.parents[1].name for path in asked] == ["seed_2"], "the seed in the middle is asked"
     (lost,) = sweep_candidates(seeds_of(job, [0.4, None, None]), trajectory, grid_of(samples, SMALL), {}, ASKED)
-    assert "(0.4 mm to no surface in their runs)" in lost.setting
+    assert "(0.4 mm to no surface in their runs, on 40^3 points)" in lost.setting
 
 
 @pytest.mark.parametrize("storage", ["float32", "fp16", "int8"])

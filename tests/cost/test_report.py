@@ -86,6 +86,7 @@ def test_page_shows_every_study_with_nothing_cut_off(browser: webdriver.Chrome, 
     drawn = browser.find_element(By.CSS_SELECTOR, "#plot-simulation_time .gridlayer").rect
     assert drawn["height"] > 200  # the legend leaves room
     assert drawn["y"] + drawn["height"] <= legend["y"]
+    assert len(browser.find_elements(By.CSS_SELECTOR, "#plot-simulation_time .scatterlayer .js-line")) == 2  # leapfrog and the front
     # 3 of leapfrog and the star; nothing for the reference, whose error is zero, and for the point that failed
     assert len(browser.find_elements(By.CSS_SELECTOR, "#plot-simulation_time .scatterlayer .points path")) == 4
 

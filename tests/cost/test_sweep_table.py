@@ -253,6 +253,19 @@ def test_sentences_name_the_smallest_its_command_and_the_knee(sweep: Path) -> No
     assert "no job finished" in "\n".join(sentences_of([job for job in jobs if job.result is None], Target()))
 
 
+def test_sentences_say_that_there_is_no_knee_and_what_has_no_surface(tmp_path: Path) -> None:
+    for width, worst in ((8, 0.4), (16, 0.2), (32, None)):
+        write_job(tmp_path, [f"model.width={width}"], result(width**2, worst, worst) | {"failed_frames": 3 if worst is None else 0})
+    said = sentences_of(read_jobs(tmp_path), Target())
+    assert any(sentence.startswith("There is no knee: ") for sentence in said)
+    assert "Without a surface in some frames: model.width=32 (3); what each gives there is in its training.log." in said
+
+
+def test_bytes_lead_where_they_decide_and_the_mean_is_over_the_frames(sweep: Path) -> None:
+    said = "\n".join(sentences_of(read_jobs(sweep), Target(size="query_bytes", frames="mean", chamfer_l1_mm=0.26)))
+    assert "The smallest network as good as 0.26 mm on average over the frames has 1.0 kB with the latents, 256 parameters: " in said
+
+
 def test_command_quotes_what_a_shell_would_change() -> None:
     assert command_of(["model.width=8", "strategy=[a,b]"]) == "python train.py model.width=8 'strategy=[a,b]'"
 

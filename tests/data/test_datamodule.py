@@ -258,9 +258,14 @@ def test_batches_that_cannot_be_are_refused_by_name(wrong: dict[str, int | float
         BatchSettings(**wrong)  # type: ignore[arg-type]
 
 
+def test_a_step_of_more_frames_than_there_are_sees_each_once(folder: Path) -> None:
+    family = ShapeFamily(BALL, folder, BatchSettings(frames_per_step=16, stride=16, points_per_step=32))
+    family.prepare_data()
+    family.setup()
+    assert [sorted(family.step(0, step).frames.tolist()) for step in range(3)] == 3 * [list(range(7))]
+
+
 def test_batches_that_the_dataset_cannot_give_are_refused(folder: Path) -> None:
-    with pytest.raises(ConfigurationError, match="batch.frames_per_step is 8, but the split 'all' has 7 training frames"):
-        ShapeFamily(BALL, folder, BatchSettings(frames_per_step=8))
     bare = replace(BALL, sampling=replace(BALL.sampling, near_surface_count=0))
     with pytest.raises(ConfigurationError, match="near_surface_count gives none to train on"):
         ShapeFamily(bare, folder, BatchSettings(points_per_step=10, near_share=0.5))

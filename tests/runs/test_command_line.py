@@ -1,5 +1,6 @@
 """What a user meets on the command line: one clear message for a mistake, no traceback, nothing half-written."""
 
+import importlib.util
 import os
 import re
 import subprocess
@@ -381,6 +382,11 @@ def test_each_script_shows_its_settings_and_refuses_a_wrong_key(name: str) -> No
     assert wrong.returncode == 1
     assert "Did you mean 'data_folder'?" in wrong.stderr
     assert "Traceback" not in wrong.stderr
+
+
+@pytest.mark.skipif(importlib.util.find_spec("optuna") is not None, reason="it is installed")
+def test_search_without_optuna_says_what_to_install(command: Command) -> None:
+    _refusal(command("train", "sweep=search"), "sweep=search needs Optuna, found that it is not installed: pip install 'sdfnet[search]'")
 
 
 @pytest.mark.parametrize("folder", ["plain", "with = and , in it", "it's"])

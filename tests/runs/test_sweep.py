@@ -109,6 +109,23 @@ def test_error_of_any_kind_is_a_row_with_its_traceback_in_the_log_and_the_other_
     assert "smallest network as good as KNN-1 on the worst frame has 256 parameters" in capfd.readouterr().out
 
 
+def test_overrides_after_the_option_belong_to_the_sweep_and_a_second_start_says_what_it_skips(
+    command: Callable[..., None], trained: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    for found in ("finished: ", "finished already: "):
+        command("train", *TINY, "-m", "model.width=8,16")
+        said = capfd.readouterr().out
+        assert said.count(found) == 2
+        assert "and with more values and hydra.sweep.dir=outputs/sweep/" in said.replace("\n", " ")
+    assert len(trained) == 2
+
+
+def test_option_that_hydra_does_not_have_begins_no_sweep(command: Callable[..., None], trained: list[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        command("train", *TINY, "model.width=8,16", "-m", "--parallel")
+    assert not Path("outputs/sweep").exists()
+
+
 def test_table_is_written_also_when_what_runs_the_jobs_fails(command: Callable[..., None], trained: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     run_job = sweep.run_job
 

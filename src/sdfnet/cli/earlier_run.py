@@ -15,8 +15,8 @@ from sdfnet.cost.sweep_table import overrides_alone
 
 
 def typed() -> list[str]:
-    """The overrides on the command line."""
-    return list(get_args_parser().parse_known_args(sys.argv[1:])[0].overrides)
+    """The overrides on the command line. Exits with argparse's words for an option that Hydra does not have."""
+    return list(get_args_parser().parse_args(sys.argv[1:]).overrides)
 
 
 def take_over(name: str) -> None:

@@ -105,6 +105,7 @@ def _main(name: str) -> None:
     try:
         with signals_handled():
             try:
+                sys.argv[1:] = sorted(sys.argv[1:], key=lambda word: word in ("-m", "--multirun"))  # argparse takes no override behind them
                 check_words(SCHEMAS[name], sys.argv[1:])
                 register(name)
                 take_over(name)

@@ -93,6 +93,8 @@ def _explained(error: Exception, lines: list[str]) -> str:
     """
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     message = str(error).strip()
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file == "hydra/sweeper/optuna":
+        return "sweep=search needs Optuna, found that it is not installed: pip install 'sdfnet[search]'"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
         group, _, wrong = error.missing_cfg_file.rpartition("/")
         inner = [name for name in stored(group) if name not in error.options]  # of a group in a group, such as effect/pinned, Hydra lists the outer alone

@@ -154,7 +154,7 @@ class CostSettings:
         if self.precision not in PRECISIONS:
             raise ConfigurationError(f"precision must be one of {', '.join(PRECISIONS)}; found '{self.precision}'")
         if any(not wanted > 0 for wanted in self.wanted_mm):
-            raise ConfigurationError(f"wanted_mm must be positive, found {self.wanted_mm}")
+            raise ConfigurationError(f"wanted_mm must be positive, found {min(self.wanted_mm):g}")
 
 
 @dataclass(frozen=True)

@@ -87,10 +87,11 @@ def run_job(config: DictConfig) -> float | tuple[float, ...] | None:
     overrides, sweep_folder = list(hydra_config.overrides.task), Path(hydra_config.sweep.dir)
     folder = sweep_folder / folder_name(overrides)
     folder.mkdir(parents=True, exist_ok=True)
+    is_new = True
     with FileLock(folder.with_name(f".{folder.name}.lock")):
         try:
             find_datasets()  # in a launcher's process nothing has loaded them, and their code is part of a job's key
-            _run_if_needed(frozen(config), overrides, folder, _jobs_at_once(hydra_config.launcher.get("n_jobs", 1), sweep_folder))
+            is_new = _run_if_needed(frozen(config), overrides, folder, _jobs_at_once(hydra_config.launcher.get("n_jobs", 1), sweep_folder))
         except Exception as error:  # of whatever kind: this job is a row with its reason, and the others go on
             reason = str(error)
             if not isinstance(error, SdfnetError):
@@ -101,7 +102,7 @@ def run_job(config: DictConfig) -> float | tuple[float, ...] | None:
         job = read_job(folder)
     found = {name: (job.result or {}).get(name) for name in config.target.objectives}
     shown = ", ".join(f"{name} {'nothing' if value is None else f'{value:.4g}'}" for name, value in found.items()) if job.result else job.reason
-    screen().print(f"{job.status}: {' '.join(overrides)}: {shown}")
+    screen().print(f"{job.status}{'' if is_new else ' already'}: {' '.join(overrides)}: {shown}")
     values = tuple(float(value) for value in found.values() if value is not None)
     if len(values) < len(found):
         return None
@@ -123,25 +124,28 @@ def finish(sweep_folder: Path, target: Target, given_up: Collection[Path] = ()) 
         console.print(f"not counted, because this sweep does not ask for them: {', '.join(others)}")
     is_search = read_plan(sweep_folder) is None
     again = "tries more settings, and does not go on with one that was stopped" if is_search else "goes on with what is not finished"
+    again += "" if is_search else f", and with more values and hydra.sweep.dir={quoted(sweep_folder)} trains only those"
     console.print(f"written to {sweep_folder}; the same command {again}")
     return all(job.status in (FINISHED, LEFT_OUT) or job.folder in given_up for job in jobs)
 
 
-def _run_if_needed(settings: TrainSettings, overrides: Sequence[str], folder: Path, jobs_at_once: int) -> None:
+def _run_if_needed(settings: TrainSettings, overrides: Sequence[str], folder: Path, jobs_at_once: int) -> bool:
+    """Whether there was something to do: what finished with the same settings is left as it is."""
     earlier = read_job(folder)
     if earlier.configuration == settings.key and earlier.status == FINISHED:
-        return
+        return False
     outdated = _why_outdated(settings, earlier)
     if outdated is not None:  # before the new key is written: what lies beside a key was trained with it
         _set_aside(folder, outdated)
     hopeless = _why_hopeless(settings, folder.parent)
     if hopeless is not None:
         _write_job(folder, overrides, settings.key, LEFT_OUT, hopeless)
-        return
+        return True
     _write_job(folder, overrides, settings.key, RUNNING)
     threads = max(1, joblib.cpu_count() // jobs_at_once) if settings.trainer.threads is None else settings.trainer.threads
     reason = train_in_a_process(folder, overrides, threads)
     _write_job(folder, overrides, settings.key, FINISHED if reason is None else FAILED, reason or "")
+    return True
 
 
 def _why_outdated(settings: TrainSettings, earlier: Job) -> str | None:

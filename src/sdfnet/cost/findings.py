@@ -13,6 +13,7 @@ STUDIES_OF_THE_WHOLE = {  # whose overrides can be given together, and which err
     "reconstruction": "chamfer L1",
 }
 SAME = 1.05  # costs that differ by less are called the same
+WORTH_A_SETTING = 0.01  # of the whole: what saves less is not worth another setting than the default
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,17 @@ def cheapest_whole(studies: Sequence[Study], wanted_mm: float, mesh_seconds: flo
     stages = [_for_the_whole(by_name[name]) for name in STUDIES_OF_THE_WHOLE]
     places = cheapest([[point.pair for point in points] for points in stages], wanted_mm)
     chosen = () if places is None else tuple(points[place] for points, place in zip(stages, places, strict=True))
+    little = WORTH_A_SETTING * sum(point.pair[1] for point in chosen)
+    chosen = tuple(_default_if_as_good(point, points, little) for point, points in zip(chosen, stages if chosen else (), strict=True))
     in_space = by_name["simulation_space"].points if "simulation_space" in by_name else ()
     mesh_errors = [point.error_mm for point in in_space if point.is_default and point.is_measured and not point.is_reference]
     return Whole(wanted_mm, chosen, mesh_seconds, mesh_errors[0] if mesh_errors else None)
+
+
+def _default_if_as_good(chosen: Point, points: Sequence[Point], little: float) -> Point:
+    """The default where it is no less accurate and takes but a little longer, s."""
+    same = [point for point in points if point.is_default and point.pair[0] <= chosen.pair[0] and point.pair[1] <= chosen.pair[1] + little]
+    return next(iter(same), chosen)
 
 
 def unmeasured(studies: Sequence[Study]) -> list[str]:

@@ -209,7 +209,7 @@ def _sweep_candidate(
 
     if row.seeds > 1:
         low, high = (f"{error:.3g} mm" if math.isfinite(error) else "no surface" for error in row.chamfer_l1_mm_mean_range)
-        name += f", the middle one of {row.seeds} seeds ({low} to {high} in their runs)"
+        name += f", the middle one of {row.seeds} seeds ({low} to {high} in their runs, on {result['settings']['evaluation']['resolution']}^3 points)"
     is_default = storage == "float32" and all(result["settings"][part] == described(wanted) for part, wanted in asked.items())
     return _network_candidate(name, row.decoder_parameters, networks, trajectory, grid, is_default, overrides_alone(row.overrides))
 

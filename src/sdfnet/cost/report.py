@@ -4,7 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
-from itertools import cycle
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,11 @@ def _series(study: Study) -> dict[str, list[Point]]:
     return {method: sorted(points, key=lambda point: point.pair) for method, points in series.items()}
 
 
+def _is_curve(points: Sequence[Point]) -> bool:
+    """Whether more accuracy costs more all along a series: a line through others would only zigzag."""
+    return all(less.pair[1] <= more.pair[1] for more, less in pairwise(points))
+
+
 def _figure(study: Study) -> graph.Figure:
     """Error across, cost up, both logarithmic: a line a method, the front dashed, a star on the default, a diamond on the knee.
 
@@ -91,7 +96,8 @@ def _figure(study: Study) -> graph.Figure:
     for colour, (method, points) in zip(cycle(COLOURS), _series(study).items(), strict=False):
         timings = [point.seconds or Timing.of([point.pair[1]]) for point in points]
         figure.add_scatter(
-            x=[point.pair[0] for point in points], y=[point.pair[1] for point in points], mode="lines+markers", name=method,
+            x=[point.pair[0] for point in points], y=[point.pair[1] for point in points], name=method,
+            mode="lines+markers" if _is_curve(points) else "markers",
             line={"color": colour, "width": 1.5}, marker={"size": 8},
             error_y={"type": "data", "symmetric": False, "thickness": 1, "array": [timing.p95 - timing.median for timing in timings],
                      "arrayminus": [timing.median - timing.p5 for timing in timings]},
@@ -126,7 +132,9 @@ def _picture(study: Study) -> Figure:
     axes = figure.subplots()
     series = _series(study)
     for colour, (method, points) in zip(cycle(COLOURS), series.items(), strict=False):
-        axes.plot(*zip(*[point.pair for point in points], strict=True), "o-", color=colour, label=method, markersize=4, linewidth=1)
+        axes.plot(
+            *zip(*[point.pair for point in points], strict=True), "o-" if _is_curve(points) else "o", color=colour, label=method, markersize=4, linewidth=1
+        )
     front = front_of(study)
     if front:
         axes.plot(*zip(*[point.pair for point in front], strict=True), ":", color="#1c2430", linewidth=1, label="front")

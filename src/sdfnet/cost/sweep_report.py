@@ -68,9 +68,15 @@ def sentences_of(jobs: Sequence[Job], target: Target) -> list[str]:
     sentences += _answer(jobs, rows, target)
     if bend is not None:
         sentences.append(
-            f"The knee is at {_size(bend)} ({_millimetres(bend.error(target))}): from there on more of them buy less. "
+            f"The knee is at {_size(bend, target)} ({_millimetres(bend.error(target))}): from there on more of them buy less. "
             f"{command_of(bend.overrides, bend.threads)}"
         )
+    elif len(rows) > 2:
+        sentences.append("There is no knee: of these, fewer than three are worth their size, or each step of size buys as much as the one before.")
+    without = {short_setting(job.overrides, shared): job.result["failed_frames"] for job in jobs if job.result and job.result.get("failed_frames")}
+    if without:
+        found = ", ".join(f"{name} ({frames:.0f})" for name, frames in without.items())
+        sentences.append(f"Without a surface in some frames: {found}; what each gives there is in its training.log.")
     return sentences + _mixtures([job.result for job in jobs if job.result is not None])
 
 
@@ -83,20 +89,20 @@ def _answer(jobs: Sequence[Job], rows: Sequence[Row], target: Target) -> list[st
         return [f"{done}; KNN-1 has no surface in some frame, so there is nothing to be as good as: set target.chamfer_l1_mm."]
     if possible is None:
         nearest = min(rows, key=lambda row: row.error(target), default=None)
-        best = "" if nearest is None else f"the best has {_millimetres(nearest.error(target))} with {_size(nearest)}"
+        best = "" if nearest is None else f"the best has {_millimetres(nearest.error(target))} with {_size(nearest, target)}"
         return [f"{done}; none is as good as {target.words()}: {best or 'no job finished'}."]
     if smallest is None:
         sentences = [f"{done}; of none that is as good as {target.words()} every seed finished."]
     else:
         sentences = [
-            f"{done}. The smallest network as good as {target.words()} has {_size(smallest)}: "
+            f"{done}. The smallest network as good as {target.words()} has {_size(smallest, target)}: "
             f"{smallest.chamfer_l1_mm_mean:.3f} mm mean, {smallest.chamfer_l1_mm_worst:.3f} mm in the worst frame.",
             f"Train it again: {command_of(smallest.overrides, smallest.threads)}",
         ]
     if possible != smallest:
         asked = sum(job.setting == possible.setting for job in jobs)
         name = short_setting(possible.setting, shared_overrides(jobs))
-        sentences.append(f"{name} may do with {_size(possible)}: {possible.seeds} of {asked} seeds finished.")
+        sentences.append(f"{name} may do with {_size(possible, target)}: {possible.seeds} of {asked} seeds finished.")
     return sentences
 
 
@@ -147,8 +153,9 @@ def _spread(median: float, around: tuple[float, float]) -> str:
     return low if low == high else f"{middle} ({low} to {high})"
 
 
-def _size(row: Row) -> str:
-    return f"{row.decoder_parameters:,} parameters, {row.query_bytes / 1e3:.1f} kB with the latents"
+def _size(row: Row, target: Target) -> str:
+    sizes = f"{row.decoder_parameters:,} parameters", f"{row.query_bytes / 1e3:.1f} kB with the latents"
+    return ", ".join(sizes if target.size == "decoder_parameters" else reversed(sizes))
 
 
 def _millimetres(error: float) -> str:

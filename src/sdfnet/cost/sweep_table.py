@@ -67,7 +67,8 @@ class Target:
 
     def words(self) -> str:
         """The target in a sentence."""
-        return f"{'KNN-1' if self.chamfer_l1_mm is None else f'{self.chamfer_l1_mm:g} mm'} on the {self.frames} frame{'s' * (self.frames == 'mean')}"
+        where = {"worst": "on the worst frame", "mean": "on average over the frames"}
+        return f"{'KNN-1' if self.chamfer_l1_mm is None else f'{self.chamfer_l1_mm:g} mm'} {where[self.frames]}"
 
 
 @dataclass(frozen=True)

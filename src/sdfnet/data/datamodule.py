@@ -109,7 +109,7 @@ class ShapeFamily(LightningDataModule):
     def step(self, epoch: int, step: int, normals_per_shape: int = 0) -> Batch:
         """The batch of a step, the same whenever it is asked for; with so many vertices of each shape and the normals there, if any."""
         settings, count = self.batch, len(self.train_frames)
-        places = frames_of_step(count, epoch, step, settings.frames_per_step, settings.stride, settings.ordered_epochs, self.seed)
+        places = frames_of_step(count, epoch, step, min(settings.frames_per_step, count), settings.stride, settings.ordered_epochs, self.seed)
         frames = torch.from_numpy(self.train_frames[places])
         if settings.points_per_step is None:
             points, distances = self._own_points(frames)
@@ -130,8 +130,6 @@ class ShapeFamily(LightningDataModule):
     def _choose(self, frames: int, near_count: int, batch: BatchSettings, split: str, seed: int) -> None:
         self.batch, self.seed = batch, seed
         self.train_frames = split_frames(frames, split)
-        if batch.frames_per_step > len(self.train_frames):
-            raise ConfigurationError(f"batch.frames_per_step is {batch.frames_per_step}, but the split '{split}' has {len(self.train_frames)} training frames")
         if batch.near_share > 0 and near_count == 0:
             raise ConfigurationError("batch.near_share asks for points about the surface, but dataset.sampling.near_surface_count gives none to train on")
 

@@ -12,7 +12,7 @@ SPLITS = ("all", "interpolation", "extrapolation")
 class BatchSettings(Checked):
     """What one training step sees. The defaults are the paper's: a pair of shapes, each with all the points that it kept."""
 
-    frames_per_step: int = 2
+    frames_per_step: int = 2  # all, where fewer are trained on
     stride: int = 1  # how many frames further the next step starts
     points_per_step: int | None = None  # drawn at random and shared by the step's frames; none: every frame's own kept points
     near_share: float = 0.0  # fraction of the drawn points that come from the set about the surface
