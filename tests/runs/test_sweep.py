@@ -244,6 +244,17 @@ def test_larger_networks_than_one_that_is_good_enough_are_left_out(command: Call
     assert len(trained) == 1
 
 
+def test_what_cannot_win_is_told_by_the_size_that_the_target_names(tmp_path: Path) -> None:
+    errors = {f"{prefix}chamfer_l1_mm_{frames}": 0.1 for prefix in ("", "knn1_") for frames in ("mean", "worst")}
+    (tmp_path / "small").mkdir()
+    (tmp_path / "small/job.json").write_text(json.dumps({"overrides": [], "configuration": "x", "status": "finished", "reason": ""}))
+    (tmp_path / "small/result.json").write_text(json.dumps({"decoder_parameters": 10**9, "query_bytes": 10, "train_seconds": 1.0} | errors))
+    targets = {size: Target(size=size, skip_larger=True) for size in ("decoder_parameters", "query_bytes")}
+    reasons = {size: sweep._why_hopeless(TrainSettings(BALL, target=target), tmp_path) for size, target in targets.items()}
+    assert reasons["decoder_parameters"] is None
+    assert "bytes are more than the 10 of a network that is good enough already" in str(reasons["query_bytes"])
+
+
 def test_the_cores_are_divided_between_the_jobs_that_can_run_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(joblib, "cpu_count", lambda: 8)
     write_plan(tmp_path, {"a": [], "b": []})
