@@ -28,7 +28,11 @@ STUDIES = (
     "reconstruction",
     "throughput",
 )  # of cost.py, in the order of the flow
-READ_BY = {"motion_share": {"simulation_time"}, "checkpoint": {"network", "queries", "reconstruction"}, "sweep_folder": {"network"}}  # settings of studies
+READ_BY = {
+    "motion_share": {"simulation_time"},
+    "checkpoint": {"network", "queries", "reconstruction"},
+    "sweep_folder": {"network"},
+}  # studies that read a setting
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ class Job:
     @property
     def setting(self) -> tuple[str, ...]:
         """What jobs of one row share: its overrides without the seed and without those that change no result."""
-        return tuple(override for override in self.overrides if not (is_of(override, "seed=") or is_of(override, *WITHOUT_EFFECT)))
+        return tuple(override for override in self.overrides if not is_of(override, "seed=", *WITHOUT_EFFECT))
 
 
 @dataclass(frozen=True)
