@@ -133,11 +133,10 @@ def _of_default(point: Point, front: Sequence[Point]) -> str:
     if point in front:
         return f"The default is on the front: {point.words()}."
     better = [one for one in front if one.pair[0] <= point.pair[0]][-1]  # the cheapest that is no less accurate
-    factor = point.pair[1] / better.pair[1]
+    factor, cheap = point.pair[1] / better.pair[1], "small" if point.seconds is None else "quick"
     if factor < SAME or (point.seconds is not None and better.seconds is not None and point.seconds.p5 <= better.seconds.p95):
-        return f"The default, {point.words()}, is as {'small' if point.seconds is None else 'quick'} as {better.words()}, which is no less accurate."
-    cheaper = "smaller" if point.seconds is None else "quicker"
-    return f"The default, {point.words()}, is beaten by {better.words()}: {_times(factor)} {cheaper} and no less accurate."
+        return f"The default, {point.words()}, is as {cheap} as {better.words()}, which is no less accurate."
+    return f"The default, {point.words()}, is beaten by {better.words()}: {_times(factor)} {cheap}er and no less accurate."
 
 
 def _times(factor: float) -> str:

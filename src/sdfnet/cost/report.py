@@ -88,12 +88,12 @@ def _figure(study: Study) -> graph.Figure:
     What the axes show stands above it in the page: on a phone they are too short for the words.
     """
     figure = graph.Figure()
-    front, bend = front_of(study), knee_of(study)
+    series, front, bend = _series(study), front_of(study), knee_of(study)
     figure.add_scatter(
         x=[point.pair[0] for point in front], y=[point.pair[1] for point in front],
         mode="lines", name="front", line={"color": "#1c2430", "dash": "dot", "width": 1}, hoverinfo="skip",
     )  # fmt: skip
-    for colour, (method, points) in zip(cycle(COLOURS), _series(study).items(), strict=False):
+    for colour, (method, points) in zip(cycle(COLOURS), series.items(), strict=False):
         timings = [point.seconds or Timing.of([point.pair[1]]) for point in points]
         figure.add_scatter(
             x=[point.pair[0] for point in points], y=[point.pair[1] for point in points], name=method,
@@ -110,7 +110,7 @@ def _figure(study: Study) -> graph.Figure:
             x=[point.pair[0]], y=[point.pair[1]], mode="markers", name=name, text=[_hover(point)], hovertemplate="%{text}<extra></extra>",
             marker={"symbol": symbol, "size": 17, "color": "#edae49" if name == "default" else "#1c2430", "line": {"width": 1.5, "color": "#1c2430"}},
         )  # fmt: skip
-    pairs = [point.pair for points in _series(study).values() for point in points]
+    pairs = [point.pair for points in series.values() for point in points]
     across, up = _axis([error for error, _ in pairs]), _axis([cost for _, cost in pairs])
     figure.update_layout(
         template="plotly_white", margin={"l": 10, "r": 10, "t": 40, "b": 10}, hovermode="closest", xaxis=across, yaxis=up,
