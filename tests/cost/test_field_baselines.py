@@ -1,10 +1,12 @@
 """Deforming shapes kept as distance fields: exact where they must be, and as large as they say."""
 
+from unittest import mock
+
 import numpy as np
 import pytest
 import torch
 
-from sdfnet.cost.field_baselines import GridField, NearestSampleField, NetworkField, marched_on_whole_grid, marched_where_it_may_be
+from sdfnet.cost.field_baselines import GridField, NearestSampleField, NetworkField, distances_where_it_may_be, network_where_it_may_be
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.store import DistanceSamples
 from sdfnet.errors import ConfigurationError, ReconstructionError
@@ -44,7 +46,28 @@ def test_grid_holds_the_exact_distances_of_each_frame_and_nothing_else(trajector
 def test_a_grid_too_coarse_for_the_solid_says_that_it_has_no_surface(trajectory: Trajectory, samples: DistanceSamples) -> None:
     coarse = GridField.of(trajectory, Grid(samples.box.lower, samples.box.upper, 2))
     with pytest.raises(ReconstructionError, match="both sides of zero"):
-        marched_on_whole_grid(coarse, Grid(samples.box.lower, samples.box.upper, 20)).surface(0)
+        distances_where_it_may_be(coarse, Grid(samples.box.lower, samples.box.upper, 20)).surface(0)
+
+
+def test_stored_distances_are_marched_sparsely_with_the_triangles_of_the_whole_grid(trajectory: Trajectory, samples: DistanceSamples) -> None:
+    field, grid = GridField.of(trajectory, Grid(samples.box.lower, samples.box.upper, 12)), Grid(samples.box.lower, samples.box.upper, 40)
+    asked: list[int] = []
+    distances = field.distances
+
+    def recorded(frame: int, points: torch.Tensor) -> torch.Tensor:
+        asked.append(len(points))
+        return distances(frame, points)
+
+    with mock.patch.object(GridField, "distances", lambda _, frame, points: recorded(frame, points)):
+        model = distances_where_it_may_be(field, grid)
+        model.surface(0)
+        asked.clear()
+        for frame in range(4):
+            whole = surface_from_values(distances(frame, grid.points()).reshape(grid.shape), grid)
+            found = model.surface(frame)
+            assert np.array_equal(found.faces, whole.faces)
+            np.testing.assert_allclose(found.vertices, whole.vertices, rtol=0, atol=1e-8)
+    assert sum(asked) < 4 * 40**3 / 3
 
 
 @pytest.mark.parametrize("count", [None, 50])
@@ -55,7 +78,8 @@ def test_nearest_sample_field_is_knn_1_of_the_frame(trajectory: Trajectory, samp
         kept = samples.kept[frame][np.sort(np.random.default_rng(0).permutation(samples.kept.shape[1])[:count])]
         expected = NearestSample(torch.from_numpy(samples.points), queries).values(torch.from_numpy(samples.distances[frame]), torch.from_numpy(kept))
         assert torch.equal(field.distances(frame, queries), expected)
-    assert field.bytes == 4 * (samples.kept.shape[1] if count is None else count) * 16
+    kept = 4 * (samples.kept.shape[1] if count is None else count)
+    assert 4 * kept < field.bytes <= 16 * kept, "the distances, and the positions by the smaller layout"
 
 
 def test_more_samples_than_are_kept_are_refused(samples: DistanceSamples) -> None:
@@ -83,7 +107,7 @@ def test_surface_of_a_network_is_that_of_the_whole_grid_found_with_fewer_queries
     networks, box, asked = ball_networks(ball_family), ball_family.samples.box, []
     field = NetworkField(networks, ball_family.trajectory.surface_vertices)
     grid = Grid(box.lower, box.upper, 65)
-    model = marched_where_it_may_be(field, grid)
+    model = network_where_it_may_be(field, grid)
     model.surface(0)  # measures the slopes on the whole grid
     values_at = SparseReconstruction.values_at
 

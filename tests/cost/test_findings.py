@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from sdfnet.cost.findings import cheapest_whole, findings_of, front_of, unmeasured
-from sdfnet.cost.studies import EXACT_MM, Point, Study, Timing, duration_text, interleaved
+from sdfnet.cost.studies import BYTES, EXACT_MM, Point, Study, Timing, duration_text, interleaved
 
 
 def point(error: float | None, seconds: float | None, setting: str = "s", **more: object) -> Point:
@@ -32,8 +32,8 @@ def test_findings_give_the_slope_of_a_power_law_and_say_when_the_default_is_beat
     assert "The default, method, asked for (0.05 mm, 10 s), is as quick as method, digit 2 (0.01 mm, 9 s), which is no less accurate." in findings_of(
         study("simulation", *line, noisy)
     )
-    as_small = replace(point(0.05, None, "asked for", is_default=True), bytes=1000)
-    smaller = replace(point(0.01, None, "other"), bytes=990)
+    as_small = replace(point(0.05, None, "asked for", is_default=True), bytes=1000, cost=BYTES)
+    smaller = replace(point(0.01, None, "other"), bytes=990, cost=BYTES)
     assert "is as small as method, other (0.01 mm, 990 bytes), which is no less accurate." in " ".join(findings_of(study("network", as_small, smaller)))
     assert "The default is on the front: method, digit 1" in " ".join(
         findings_of(study("simulation", line[0], point(0.1, 3.0, "digit 1", is_default=True), line[2]))
@@ -63,6 +63,14 @@ def test_cheapest_whole_adds_errors_and_seconds_of_one_point_of_each_study_and_t
     too_much = cheapest_whole(STUDIES, 0.05, 7.0)
     assert too_much is not None
     assert "0.05 mm: no time step, distances, training and grid that were measured are accurate enough" in too_much.words()
+
+
+def test_cheapest_whole_says_what_a_study_of_a_part_measured() -> None:
+    of_a_part = replace(SIMULATION, part="Errors are those of the first ms.")
+    found = cheapest_whole([of_a_part, *STUDIES[1:]], 0.45, 7.0)
+    assert found is not None
+    assert found.words().endswith("(0.02 mm, 3 s). simulation_time: Errors are those of the first ms.")
+    assert "Errors are those of the first ms." in findings_of(of_a_part)
 
 
 def test_error_of_the_tet_mesh_is_told_beside_the_sum_where_it_was_measured() -> None:
@@ -117,8 +125,8 @@ def test_reference_is_on_no_front_and_in_no_fit() -> None:
 
 
 def test_study_of_bytes_is_told_in_bytes() -> None:
-    sizes = [Point("method", f"size {size}", 1 / size, bytes=size) for size in (1, 10, 100)]
-    worse = Point("method", "default", 0.2, bytes=30, is_default=True)
+    sizes = [Point("method", f"size {size}", 1 / size, bytes=size, cost=BYTES) for size in (1, 10, 100)]
+    worse = Point("method", "default", 0.2, bytes=30, is_default=True, cost=BYTES)
     text = " ".join(findings_of(study("network", *sizes, worse)))
     assert "Smallest: method, size 1 (1 mm, 1 bytes)" in text
     assert "a tenth of the error costs 10 times the size" in text
@@ -128,7 +136,7 @@ def test_study_of_bytes_is_told_in_bytes() -> None:
 
 
 def test_point_without_time_and_bytes_is_told_in_its_count() -> None:
-    sizes = [Point("network", f"width {size}", 1 / size, counts={"decoder parameters": 1000 * size}) for size in (1, 10)]
+    sizes = [Point("network", f"width {size}", 1 / size, counts={"decoder parameters": 1000 * size}, cost="decoder parameters") for size in (1, 10)]
     text = " ".join(findings_of(study("network", *sizes)))
     assert "Smallest: network, width 1 (1 mm, 1,000 decoder parameters)" in text
     assert "a tenth of the error costs 10 times the size" in text

@@ -37,6 +37,7 @@ def test_knee_is_the_corner_of_an_l_shaped_front() -> None:
 
 def test_straight_or_short_fronts_have_no_knee() -> None:
     assert knee([(1.0, 2.0), (2.0, 1.0)]) is None
+    assert knee([(error, 3 * error**-0.5) for error in np.logspace(-4, 0, 9)]) is None, "rounding bends a power law by 1e-16"
     bulging = [(1.0, 1000.0), (900.0, 900.0), (1000.0, 1.0)]
     assert knee(bulging) is None
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from sdfnet.cost import network_study
+from sdfnet.cost.field_baselines import NetworkField
 from sdfnet.cost.network_study import (
     ALL_SAMPLES,
     QUICK,
@@ -17,12 +18,13 @@ from sdfnet.cost.network_study import (
     Effort,
     MeasuredShape,
     baseline_candidates,
-    inner_frames,
+    compared_frames,
     measured_shapes,
     network_candidate,
     network_studies,
     networks_trained_on,
     sweep_candidates,
+    timed_frames,
 )
 from sdfnet.cost.shape_baselines import PodMotion
 from sdfnet.cost.sweep_table import FAILED, FINISHED, Job
@@ -99,7 +101,8 @@ def test_errors_are_the_mean_and_the_worst_of_the_measured_frames(trajectory: Tr
     pod = shapes["POD, exact query", "1 modes"]
     model = pod.candidate.make()
     by_frame = [
-        surface_errors(model.surface(frame), trajectory.surface(frame), trajectory.mesh.diagonal, SMALL.surface_samples).chamfer_l1_mm for frame in range(1, 6)
+        surface_errors(model.surface(frame), trajectory.surface(frame), trajectory.mesh.diagonal, SMALL.surface_samples).chamfer_l1_mm
+        for frame in range(1, FRAMES)
     ]
     assert pod.mean_mm == pytest.approx(np.mean(by_frame), rel=1e-6)
     assert pod.worst_mm == pytest.approx(max(by_frame), rel=1e-6)
@@ -127,19 +130,26 @@ def test_each_timing_pays_for_a_change_of_frame(trajectory: Trajectory, samples:
         return vertices(motion, frame)
 
     monkeypatch.setattr(PodMotion, "vertices", recorded)
+    monkeypatch.setattr(network_study, "LEAST_SECONDS", 0.0)
     pod = replace(SMALL, modes=(1,), strides=(), grid_points=(), nearest_samples=())
     grid = Grid(samples.box.lower, samples.box.upper, pod.resolution)
     measured_shapes(baseline_candidates(trajectory, samples, grid, pod), trajectory, samples, pod)
-    # Errors of all measured frames; the first hierarchy, which is of frame 0; then a warm-up and two repeats of queries and of surfaces.
-    assert asked == [1, 2, 3, 4, 5] + [0] + [1, 2, 3] + [1, 2, 3]
+    # Errors of all compared frames; the first hierarchy, which is of frame 0; then a warm-up and two repeats of queries and of surfaces.
+    assert asked == [1, 2, 3, 4, 5, 6] + [0] + [1, 2, 3] + [1, 2, 3]
+
+
+def test_frames_that_are_timed_are_not_those_that_are_compared() -> None:
+    assert timed_frames(compared_frames(13, 3), 13) == [4, 7, 10]
+    assert timed_frames([1, 2], 3) == [0, 1, 2], "a single frame after itself would be no change of frame"
 
 
 @pytest.mark.parametrize("count", [3, 9, 21, 44, 45, 101])
 @pytest.mark.parametrize("effort", [Effort(), QUICK])
 def test_kept_frames_are_measured_where_they_are_not_exact(count: int, effort: Effort) -> None:
-    """The ends are always kept. Of the frames between them no larger part is among the measured than is kept, but for one frame."""
-    frames = inner_frames(count, effort.every)
-    assert not {0, count - 1} & set(frames)
+    """The last frame is always kept, and compared. Of those before it no larger part is among the compared than is kept, but for one frame."""
+    *frames, last = compared_frames(count, effort.every)
+    assert last == count - 1
+    assert 0 not in frames
     for stride in effort.strides:
         kept = [frame for frame in frames if frame % stride == 0]
         assert len(kept) <= len(frames) / stride + 1
@@ -147,10 +157,10 @@ def test_kept_frames_are_measured_where_they_are_not_exact(count: int, effort: E
 
 
 @pytest.mark.parametrize("every", [1, 3, 11])
-def test_ends_of_load_cases_are_not_measured_either(every: int) -> None:
-    frames = inner_frames(84, every, cases=4)
-    assert {frame // 21 for frame in frames} == {0, 1, 2, 3}
-    assert not {0, 20} & {frame % 21 for frame in frames}
+def test_each_load_case_is_compared_to_its_end_and_not_at_rest(every: int) -> None:
+    frames = compared_frames(84, every, cases=4)
+    assert {20, 41, 62, 83} <= set(frames)
+    assert not {0, 21, 42, 63} & set(frames)
 
 
 def test_networks_of_jobs_stand_beside_the_baselines(trajectory: Trajectory, samples: DistanceSamples, tmp_path: Path) -> None:
@@ -251,7 +261,11 @@ def test_bytes_and_errors_are_of_the_same_storage(trajectory: Trajectory, sample
     networks = load_networks(job.folder / "checkpoints" / "last.ckpt")
     stored = replace(job, result=(job.result or {}) | {"storage": storage})
     (candidate,) = sweep_candidates([stored], trajectory, grid_of(samples, SMALL), {}, ASKED)
-    assert candidate.make().bytes == quantised(networks, storage).sizes(FRAMES)["query_bytes"]
+    model, expected = candidate.make(), NetworkField(quantised(networks, storage), trajectory.surface_vertices)
+    points = torch.from_numpy(samples.points)
+    assert model.bytes == expected.bytes
+    assert torch.equal(model.distances(2, points), expected.distances(2, points))
+    assert torch.equal(model.distances(2, points), NetworkField(networks, trajectory.surface_vertices).distances(2, points)) == (storage == "float32")
 
 
 def test_network_of_another_dataset_is_refused(trajectory: Trajectory, samples: DistanceSamples, tmp_path: Path) -> None:

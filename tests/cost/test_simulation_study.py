@@ -133,13 +133,13 @@ def test_damped_reference_is_not_extrapolated(mesh: TetMesh) -> None:
 def test_labels_say_what_part_of_the_motion_it_is_and_what_the_reference_is(mesh: TetMesh, in_time: Study) -> None:
     assert in_time.error_label == "RMS displacement error against the exact-in-time solution, same mass (mm)"
     assert in_time.cost_label == "set-up and steps, 40 ms of motion (s)"
-    assert "Errors and counts" not in " ".join(in_time.notes)
+    assert in_time.part == ""
     quarter = simulation_time_study(SCENE, mesh, duration=0.01, quick=True)
     assert quarter.cost_label == in_time.cost_label
-    assert quarter.notes[0].startswith("Errors and counts are those of the first 10 of 40 ms of motion; seconds are estimated for all of it")
+    assert quarter.part.startswith("Errors and counts are those of the first 10 of 40 ms of motion; seconds are estimated for all of it")
     eighth = simulation_space_study(SCENE, mesh, 0.0, duration=0.005, quick=True)
     assert eighth.cost_label == "mesh, set-up and steps, 40 ms of motion (s)"
-    assert "the first 5 of 40 ms" in eighth.notes[0]
+    assert "the first 5 of 40 ms" in eighth.part
     damped = replace(SCENE, effects=EFFECTS | {"damping": RayleighDamping(mass=20.0)})
     label = simulation_time_study(damped, mesh, duration=0.005, quick=True).error_label
     assert label == "RMS displacement error against leapfrog with 1/8 of the auto step, same mass (mm)"

@@ -3,15 +3,17 @@
 import multiprocessing
 from contextlib import nullcontext
 from dataclasses import replace
+from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import SimpleNamespace
 from unittest import mock
 
 import pytest
 import torch
 
 from sdfnet.cost import throughput
-from sdfnet.cost.throughput import _PlainNetworks, measured_throughput
+from sdfnet.cost.throughput import _PlainNetworks, measured_throughput, plain_training
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.settings import BatchSettings
 from sdfnet.errors import ConfigurationError, TrainingError
@@ -44,9 +46,21 @@ def test_speeds_are_measured_over_all_rounds_whatever_limits_the_training(ball_f
     asked = mock.MagicMock(spec=Connection)  # the true one's process takes seconds to start
     asked.recv.side_effect = [1.0, 2.0, 4.0, 5.0, 30.0]
     monkeypatch.setattr(throughput, "_plain_loop", lambda family, model: nullcontext(asked))
+    seconds = count(step=0.25)
+    monkeypatch.setattr(throughput, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
     speed = measured_throughput(ball_family, MODEL, replace(TRAINING, seconds=1e-3, epochs=1), OPTIMIZER, "32-true")
     assert speed.plain == 4.5, "the median without the first round"
-    assert speed.sdfnet > 1000  # pairs a second: a step has 2,000 and takes milliseconds
+    settings = ball_family.batch
+    assert settings.points_per_step is not None
+    assert speed.sdfnet == settings.frames_per_step * settings.points_per_step * ball_family.steps_per_epoch / 0.25
+
+
+def test_plain_loop_tells_the_pairs_of_a_second(ball_family: ShapeFamily, monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = count(step=0.25)
+    monkeypatch.setattr(throughput, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
+    box = ball_family.samples.box
+    networks = Networks(MODEL, ball_family.shapes, torch.from_numpy(box.lower).float(), torch.from_numpy(box.upper).float())
+    assert next(plain_training(ball_family, networks)) == ball_family.samples.kept.shape[1] / 0.25
 
 
 def test_plain_loop_ends_with_a_training_that_diverges(ball_family: ShapeFamily) -> None:

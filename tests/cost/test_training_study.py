@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from sdfnet.cost.distance_study import exact_distances
 from sdfnet.cost.training_study import FULL, QUICK, Budget, near_error_mm, training_study
+from sdfnet.cost.unseen_points import unseen_near_points
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.models.networks import Networks
 from sdfnet.training.module import SdfTraining
@@ -81,11 +83,16 @@ def test_run_that_diverges_is_a_failed_point(ball_family: ShapeFamily) -> None:
 
 
 def test_error_is_in_millimetres_and_that_of_the_distance(ball_family: ShapeFamily) -> None:
-    box, samples = ball_family.samples.box, ball_family.samples
+    box, trajectory = ball_family.samples.box, ball_family.trajectory
     networks = Networks(MODEL, ball_family.shapes, torch.from_numpy(box.lower).float(), torch.from_numpy(box.upper).float())
     with torch.no_grad():
         for weights in networks.decoder.parameters():
             weights.zero_()
-    near = np.abs(samples.near_distances) < 0.01 * ball_family.trajectory.mesh.diagonal
-    expected = 1e3 * np.mean([np.abs(row[mask]).mean() for row, mask in zip(samples.near_distances, near, strict=True)])
-    assert near_error_mm(networks, ball_family, frames=len(near), points=len(samples.near_points)) == pytest.approx(expected, rel=1e-5)
+    points = unseen_near_points(trajectory, box)
+    trained_at = {tuple(point) for point in ball_family.samples.near_points.tolist()}
+    assert not trained_at & {tuple(point) for point in points.tolist()}
+    errors = []
+    for frame in range(len(trajectory.times)):
+        distances = np.abs(exact_distances(points.numpy(), trajectory.surface(frame)))
+        errors.append(1e3 * distances[distances < 0.01 * trajectory.mesh.diagonal].mean())
+    assert near_error_mm(networks, ball_family, frames=len(errors)) == pytest.approx(np.mean(errors), rel=1e-5)

@@ -48,5 +48,8 @@ def test_what_cannot_be_answered_is_refused() -> None:
         NearestSample(points[:0], points)
 
 
-def test_size_counts_position_and_distance_of_each_sample() -> None:
-    assert nearest_sample_bytes(389_992) == 389_992 * 16
+def test_size_is_that_of_the_smaller_layout() -> None:
+    apart = np.arange(12, dtype=np.int32).reshape(2, 6)
+    assert nearest_sample_bytes(apart) == 12 * 16, "position and distance of each: nothing is shared"
+    shared = np.array([[0, 1, 2, 4, 7, 9, 10], [0, 1, 3, 4, 7, 9, 11]], dtype=np.int32)
+    assert nearest_sample_bytes(shared) == 9 * 12 + 2 * 2 + 14 * 4, "nine points once, nine bits in two bytes a frame, and the distances"

@@ -18,7 +18,9 @@ from sdfnet.cost.shape_baselines import DeformedMesh
 from sdfnet.data.store import DistanceSamples
 from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.baselines import nearest_sample_bytes
+from sdfnet.evaluation.lipschitz import measured_slopes
 from sdfnet.evaluation.reconstruct import Grid, surface_from_values
+from sdfnet.evaluation.sparse import sparse_values
 from sdfnet.evaluation.sparse_network import SparseReconstruction
 from sdfnet.geometry.distance import SurfaceDistance
 from sdfnet.geometry.surface import Surface
@@ -80,8 +82,7 @@ class GridField:
 class NearestSampleField:
     """KNN-1 with `count` of the samples that the paper's filter keeps in each frame; the search tree is built when the frame changes.
 
-    Positions and distances are looked up in the samples that all frames share; `bytes` counts them for each frame as its own
-    (`nearest_sample_bytes`), because the filter chooses others in each. Many queries at the same points: `NearestSample`.
+    Positions and distances are looked up in the samples that all frames share. Many queries at the same points: `NearestSample`.
     """
 
     def __init__(self, samples: DistanceSamples, count: int | None = None) -> None:
@@ -96,8 +97,8 @@ class NearestSampleField:
 
     @property
     def bytes(self) -> int:
-        """Position and distance of each sample of each frame."""
-        return nearest_sample_bytes(self._kept.shape[1]) * len(self._kept)
+        """Of the samples of all frames."""
+        return nearest_sample_bytes(self._kept)
 
     def distances(self, frame: int, points: Float32[Tensor, "points 3"]) -> Float32[Tensor, " points"]:
         """The distance (m) of the frame's nearest sample."""
@@ -125,12 +126,12 @@ class MarchedField:
         return self.field.distances(frame, points)
 
 
-def marched_on_whole_grid(field: GridField | NearestSampleField, grid: Grid) -> MarchedField:
+def on_whole_grid(field: NearestSampleField, grid: Grid) -> MarchedField:
     """The field asked at every point of the grid."""
     return MarchedField(field, lambda frame: surface_from_values(field.distances(frame, grid.points()).reshape(grid.shape), grid))
 
 
-def marched_where_it_may_be(field: NetworkField, grid: Grid) -> MarchedField:
+def network_where_it_may_be(field: NetworkField, grid: Grid) -> MarchedField:
     """Networks as evaluation marches them: the triangles of the whole grid, from the points where the surface may be.
 
     The first surface asks the networks at the whole grid in three frames, to know where the later ones need not be asked.
@@ -141,6 +142,22 @@ def marched_where_it_may_be(field: NetworkField, grid: Grid) -> MarchedField:
         return SparseReconstruction.measured(field.decoder, grid, field.latents)
 
     return MarchedField(field, lambda frame: reconstruction().surface(field.latents[frame]))
+
+
+def distances_where_it_may_be(field: GridField, grid: Grid) -> MarchedField:
+    """Stored distances marched as networks are, with slopes that are measured in the same three frames; KNN-1 jumps, and cannot be."""
+
+    @cache
+    def slopes() -> tuple[float, ...]:
+        points, last = grid.points(), len(field.values) - 1
+        few = [field.distances(frame, points).reshape(grid.shape).numpy() for frame in sorted({0, last // 2, last})]
+        return measured_slopes(np.stack(few), grid)
+
+    def surface(frame: int) -> Surface:
+        found = sparse_values(lambda indices: field.distances(frame, grid.points_at(indices)).numpy(), grid, slopes())
+        return surface_from_values(torch.from_numpy(found.values), grid, found.start)
+
+    return MarchedField(field, surface)
 
 
 ShapeModel = DeformedMesh | MarchedField

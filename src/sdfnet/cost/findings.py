@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from sdfnet.cost.frontier import cheapest, factor_per_digit, knee, pareto_front
-from sdfnet.cost.studies import Point, Study, duration_text
+from sdfnet.cost.studies import SECONDS, Point, Study, duration_text
 
 STUDIES_OF_THE_WHOLE = {  # whose overrides can be given together, and which error each has
     "simulation_time": "root mean square displacement",
@@ -24,6 +24,7 @@ class Whole:
     points: tuple[Point, ...]  # with the seconds of the whole run; empty when no combination is accurate enough
     mesh_seconds: float  # of the tet mesh, which every run needs
     mesh_error_mm: float | None  # of the tet mesh itself; None where it was not measured
+    parts: tuple[str, ...] = ()  # what its studies say of the part that they measured
 
     @property
     def error_mm(self) -> float:
@@ -45,12 +46,13 @@ class Whole:
         if not self.points:
             return f"{self.wanted_mm:g} mm: no time step, distances, training and grid that were measured are accurate enough."
         chosen = "; ".join(f"{error}: {point.words()}" for error, point in zip(STUDIES_OF_THE_WHOLE.values(), self.points, strict=True))
+        stages = " ".join([f"{chosen}.", *self.parts])
         mesh = ""
         if self.mesh_error_mm is not None:
             mesh = f"; the tet mesh itself differs from quadratic tets by {self.mesh_error_mm:.3g} mm (simulation_space), which is not among them"
         return (
             f"{self.wanted_mm:g} mm: {duration_text(self.seconds)} for the tet mesh ({duration_text(self.mesh_seconds)}), the whole motion, the training, and "
-            f"the distances and the reconstruction of every frame. Their errors sum to {self.error_mm:.3g} mm{mesh}. {chosen}."
+            f"the distances and the reconstruction of every frame. Their errors sum to {self.error_mm:.3g} mm{mesh}. {stages}"
         )
 
 
@@ -73,7 +75,7 @@ def findings_of(study: Study) -> list[str]:
     failed = [point.failure for point in study.points if point.failure is not None]
     if not front:
         return [f"Nothing could be measured: {'; '.join(sorted(set(failed))) or 'there is the reference alone'}."]
-    cost, cheapest_is = ("size", "Smallest") if front[0].seconds is None else ("time", "Quickest")
+    cost, cheapest_is = ("time", "Quickest") if front[0].cost == SECONDS else ("size", "Smallest")
     sentences = [f"Most accurate: {front[0].words()}."]
     if len(front) > 1:
         sentences.append(f"{cheapest_is}: {front[-1].words()}.")
@@ -85,15 +87,16 @@ def findings_of(study: Study) -> list[str]:
     sentences += [_of_default(point, front) for point in study.points if point.is_default and point.is_measured and not point.is_reference]
     if failed:
         sentences.append(f"{len(failed)} of {len(study.points)} points failed and stay in the table with their reason.")
-    return [*sentences, *study.notes]
+    return [*sentences, *([study.part] if study.part else []), *study.notes]
 
 
 def cheapest_whole(studies: Sequence[Study], wanted_mm: float, mesh_seconds: float) -> Whole | None:
     """The cheapest points, one of each study of the whole, whose errors add up to at most `wanted_mm`; None where one was not measured.
 
     Only what a command can be told to do is chosen. Seconds are scaled from what each study ran to the whole run; those of
-    the reconstruction are of one network, whichever is chosen. Errors are added, the safe side: they may all point the same
-    way. The error of the tet mesh is not among them: it is that of another solution, and the accuracy is about the simulated solid.
+    the reconstruction are of one network, whichever is chosen. Errors are added as if they all pointed the same way; those
+    of a study of a part of the motion are that part's. The error of the tet mesh is not among them: it is that of another
+    solution, and the accuracy is about the simulated solid.
     """
     if unmeasured(studies):
         return None
@@ -105,7 +108,8 @@ def cheapest_whole(studies: Sequence[Study], wanted_mm: float, mesh_seconds: flo
     chosen = tuple(_default_if_as_good(point, points, little) for point, points in zip(chosen, stages if chosen else (), strict=True))
     in_space = by_name["simulation_space"].points if "simulation_space" in by_name else ()
     mesh_errors = [point.error_mm for point in in_space if point.is_default and point.is_measured and not point.is_reference]
-    return Whole(wanted_mm, chosen, mesh_seconds, mesh_errors[0] if mesh_errors else None)
+    parts = tuple(f"{name}: {by_name[name].part}" for name in STUDIES_OF_THE_WHOLE if by_name[name].part)
+    return Whole(wanted_mm, chosen, mesh_seconds, mesh_errors[0] if mesh_errors else None, parts)
 
 
 def _default_if_as_good(chosen: Point, points: Sequence[Point], little: float) -> Point:
@@ -133,7 +137,7 @@ def _of_default(point: Point, front: Sequence[Point]) -> str:
     if point in front:
         return f"The default is on the front: {point.words()}."
     better = [one for one in front if one.pair[0] <= point.pair[0]][-1]  # the cheapest that is no less accurate
-    factor, cheap = point.pair[1] / better.pair[1], "small" if point.seconds is None else "quick"
+    factor, cheap = point.pair[1] / better.pair[1], "quick" if point.cost == SECONDS else "small"
     if factor < SAME or (point.seconds is not None and better.seconds is not None and point.seconds.p5 <= better.seconds.p95):
         return f"The default, {point.words()}, is as {cheap} as {better.words()}, which is no less accurate."
     return f"The default, {point.words()}, is beaten by {better.words()}: {_times(factor)} {cheap}er and no less accurate."

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 Pair = tuple[float, float]  # two costs, smaller is better
+SHALLOWEST = 0.01  # of the front's extent along both logarithmic axes: what bends less is straight but for the noise of its timings
 
 
 def pareto_front(pairs: Sequence[Pair]) -> list[int]:
@@ -25,7 +26,7 @@ def knee(pairs: Sequence[Pair]) -> int | None:
     """The place of the front's point that lies furthest below the chord between its ends, both axes logarithmic.
 
     There one more digit of either cost becomes dearer than it was before (Satopaa et al. 2011). None for a front of fewer
-    than three points or one that nowhere bends towards the origin. Both costs must be positive.
+    than three points or one that nowhere bends towards the origin by SHALLOWEST. Both costs must be positive.
     """
     front = pareto_front(pairs)
     if len(front) < 3:
@@ -35,7 +36,7 @@ def knee(pairs: Sequence[Pair]) -> int | None:
     unit = (logs - logs[0]) / ends  # 0 to 1 along both axes; the chord is the diagonal
     below = unit[:, 1] - unit[:, 0]  # the second axis falls, so `unit` runs ahead where a point lies below the chord
     best = int(below.argmax())
-    return front[best] if below[best] > 0 else None
+    return front[best] if below[best] > SHALLOWEST else None
 
 
 def factor_per_digit(pairs: Sequence[Pair]) -> float | None:
@@ -50,7 +51,7 @@ def factor_per_digit(pairs: Sequence[Pair]) -> float | None:
 def cheapest(stages: Sequence[Sequence[Pair]], allowed_error: float) -> list[int] | None:
     """One place in each stage such that the errors add up to at most `allowed_error` and the sum of seconds is smallest.
 
-    Pairs are (error, seconds). Errors of stages are added, the safe side: they may all point the same way. None when no
+    Pairs are (error, seconds). Errors of stages are added, as if they all pointed the same way. None when no
     combination is accurate enough. Fronts are combined stage by stage, each time only the combinations on a front are kept:
     a combination that is beaten in both sums cannot become the best by what is added to it.
     """

@@ -11,9 +11,17 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from sdfnet.cost.field_baselines import GridField, NearestSampleField, NetworkField, ShapeModel, marched_on_whole_grid, marched_where_it_may_be
+from sdfnet.cost.field_baselines import (
+    GridField,
+    NearestSampleField,
+    NetworkField,
+    ShapeModel,
+    distances_where_it_may_be,
+    network_where_it_may_be,
+    on_whole_grid,
+)
 from sdfnet.cost.shape_baselines import DeformedMesh, KeptFrames, PodMotion
-from sdfnet.cost.studies import Point, Study, Timing, interleaved
+from sdfnet.cost.studies import BYTES, SECONDS, Point, Study, Timing, interleaved
 from sdfnet.cost.sweep_table import Job, Row, Target, overrides_alone, rows_of, shared_overrides, short_setting
 from sdfnet.data.store import DistanceSamples, described
 from sdfnet.errors import ConfigurationError, SdfnetError
@@ -27,6 +35,7 @@ from sdfnet.physics.trajectory import Trajectory
 logger = logging.getLogger(__name__)
 
 PARAMETERS = "decoder parameters"
+LEAST_SECONDS = 0.05  # that a timing takes at least, in as many calls as it needs: a first one finds a cache that others have filled
 ALL_SAMPLES = 0  # stands for every sample that a frame keeps in a series of KNN-1
 BY_MEAN = Target(chamfer_l1_mm=1.0, frames="mean")  # rows take the seed in the middle by a target's frames; whether it is reached is not asked about here
 
@@ -73,20 +82,20 @@ class MeasuredShape:
     frame: Timing | None = None  # of the surface of one more frame
     failure: str | None = None
 
-    def point(self, error_mm: float | None, seconds: Timing | None = None) -> Point:
-        """The point of a diagram, with the mean or the worst error."""
+    def point(self, error_mm: float | None, cost: str, seconds: Timing | None = None) -> Point:
+        """The point of a diagram, with the mean or the worst error and what its cost is."""
         chosen = self.candidate
-        return Point(chosen.method, chosen.setting, error_mm, seconds, chosen.counts, self.bytes, chosen.is_default, chosen.overrides, self.failure)
+        return Point(chosen.method, chosen.setting, error_mm, seconds, chosen.counts, self.bytes, chosen.is_default, chosen.overrides, self.failure, cost=cost)
 
 
 def network_studies(shapes: Sequence[MeasuredShape]) -> list[Study]:
     """Error against the time of a query, the time of a frame, the bytes that answer for every frame and, of the networks, the parameters of the decoder."""
     mean, worst, kept = "chamfer L1, mean over frames (mm)", "chamfer L1, worst frame (mm)", "to answer for every frame (bytes)"
-    by_mean = [shape.point(shape.mean_mm) for shape in shapes]
-    by_worst = [shape.point(shape.worst_mm) for shape in shapes]
-    queries = [shape.point(shape.mean_mm, shape.query) for shape in shapes]
-    frames = [shape.point(shape.mean_mm, shape.frame) for shape in shapes]
-    networks = [replace(point, bytes=None) for point in by_mean if PARAMETERS in point.counts]
+    by_mean = [shape.point(shape.mean_mm, BYTES) for shape in shapes]
+    by_worst = [shape.point(shape.worst_mm, BYTES) for shape in shapes]
+    queries = [shape.point(shape.mean_mm, SECONDS, shape.query) for shape in shapes]
+    frames = [shape.point(shape.mean_mm, SECONDS, shape.frame) for shape in shapes]
+    networks = [shape.point(shape.mean_mm, PARAMETERS) for shape in shapes if PARAMETERS in shape.candidate.counts]
     return [
         Study("network_query", "Answering a query", mean, "one of many queries, change of frame included (s)", tuple(queries)),
         Study("network_frame", "Reconstructing a frame", mean, "the surface of one more frame (s)", tuple(frames)),
@@ -137,10 +146,10 @@ def baseline_candidates(trajectory: Trajectory, samples: DistanceSamples, grid: 
         return DeformedMesh(KeptFrames.of(vertices, stride, cases), faces)
 
     def stored(points: int) -> ShapeModel:
-        return marched_on_whole_grid(GridField.of(trajectory, Grid(box.lower, box.upper, points)), grid)
+        return distances_where_it_may_be(GridField.of(trajectory, Grid(box.lower, box.upper, points)), grid)
 
     def nearest(count: int) -> ShapeModel:
-        return marched_on_whole_grid(NearestSampleField(samples, count or kept), grid)
+        return on_whole_grid(NearestSampleField(samples, count or kept), grid)
 
     return [
         *[Candidate("POD, exact query", f"{modes} modes", partial(pod, modes)) for modes in effort.modes if modes <= len(vertices)],
@@ -153,11 +162,11 @@ def baseline_candidates(trajectory: Trajectory, samples: DistanceSamples, grid: 
 def measured_shapes(candidates: Sequence[Candidate], trajectory: Trajectory, samples: DistanceSamples, effort: Effort) -> list[MeasuredShape]:
     """Errors, bytes and times of every candidate. What cannot be made, or has a frame without a surface, keeps its place with the reason.
 
-    Times are of frames between those whose errors are measured. A network has encoded most grid points by then, once for all shapes:
+    Times are of frames between those whose errors are measured, one after the other. A network has encoded most grid points by then, once for all shapes:
     what those that are new cost is in `reconstruction_study`.
     """
-    frames = inner_frames(len(trajectory.times), effort.every, max(1, len(trajectory.cases)))
-    others = [(one + following) // 2 for one, following in pairwise(frames)] or frames
+    frames = compared_frames(len(trajectory.times), effort.every, max(1, len(trajectory.cases)))
+    timed = timed_frames(frames, len(trajectory.times))
     truth = SurfaceDistance(trajectory.surface(0))
     made: dict[int, ShapeModel] = {}
     found: list[MeasuredShape] = []
@@ -172,18 +181,25 @@ def measured_shapes(candidates: Sequence[Candidate], trajectory: Trajectory, sam
         made[place] = model
         found.append(MeasuredShape(candidate, model.bytes, *errors))
     points = torch.from_numpy(samples.points[:: max(1, len(samples.points) // effort.queries)])
-    query = interleaved({str(place): partial(_ask, model, cycle(others), points) for place, model in made.items()}, effort.repeats)
-    frame = interleaved({str(place): partial(_reconstruct, model, cycle(others)) for place, model in made.items()}, effort.repeats)
+    query = interleaved({str(place): partial(_ask, model, cycle(timed), points) for place, model in made.items()}, effort.repeats, LEAST_SECONDS)
+    frame = interleaved({str(place): partial(_reconstruct, model, cycle(timed)) for place, model in made.items()}, effort.repeats, LEAST_SECONDS)
     return [
         replace(shape, query=query[str(place)].divided_by(len(points)), frame=frame[str(place)]) if place in made else shape
         for place, shape in enumerate(found)
     ]
 
 
-def inner_frames(count: int, every: int, cases: int = 1) -> list[int]:
-    """Every `every`-th frame, or each where that would be fewer than four; not the first and the last of a load case, in which kept frames are always exact."""
-    every, length = every if count > 4 * every else 1, count // cases
-    return [frame for frame in range(every // 2, count, every) if 0 < frame % length < length - 1] or [count - 1]
+def compared_frames(count: int, every: int, cases: int = 1) -> list[int]:
+    """Every `every`-th frame of each load case, counted back from its last, or each where that would be fewer than four; never the first, which is at rest."""
+    length = count // cases
+    every = every if length > 4 * every else 1
+    return [frame for frame in range(count) if frame % length and (length - 1 - frame % length) % every == 0] or [count - 1]
+
+
+def timed_frames(compared: Sequence[int], count: int) -> list[int]:
+    """Frames between those that are compared; where these are fewer than two, and one would follow itself, all of them."""
+    between = [(one + following) // 2 for one, following in pairwise(compared)]
+    return between if len(between) > 1 else list(range(count))
 
 
 def _network_candidate(
@@ -192,7 +208,7 @@ def _network_candidate(
     """A network that is loaded when it is measured."""
 
     def make() -> ShapeModel:
-        return marched_where_it_may_be(NetworkField(networks(), trajectory.surface_vertices), grid)
+        return network_where_it_may_be(NetworkField(networks(), trajectory.surface_vertices), grid)
 
     return Candidate("network", f"{name}, {parameters:,} parameters", make, {PARAMETERS: parameters}, is_default, overrides)
 

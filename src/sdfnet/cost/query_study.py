@@ -12,6 +12,7 @@ from sdfnet.cost.distance_study import exact_distances, package
 from sdfnet.cost.field_baselines import NearestSampleField, NetworkField
 from sdfnet.cost.machine import available_cores, on_cores
 from sdfnet.cost.studies import Point, Study, Timing, duration_text, interleaved
+from sdfnet.cost.unseen_points import unseen_near_points
 from sdfnet.data.store import DistanceSamples
 from sdfnet.evaluation.metrics import MILLIMETRES
 from sdfnet.geometry.distance import SurfaceDistance
@@ -25,7 +26,6 @@ MOST_CALLS, MOST_SMALL_QUERIES = 200, 20_000  # in one timing of small batches, 
 REPEATS = 5
 LIBIGL = "libigl, mesh"
 REBUILT_LIBIGL = "libigl, mesh, tree built for each batch"  # which takes tens of milliseconds: asked of no single point
-ERROR_POINTS = 20_000  # near the surface, for the error of an answer
 Answer = Callable[[Float32[Tensor, "points 3"]], Float32[Tensor, " points"]]
 
 
@@ -34,14 +34,14 @@ def query_studies(networks: Networks, trajectory: Trajectory, samples: DistanceS
 
     The frame stands still: hierarchies, trees and latents are ready, except where the name says otherwise; what a change
     of frame costs is in `measured_shapes`. Points come in Morton order, which suits the mesh and KNN-1 and is all one to a
-    network. The error is the mean over samples near the surface, against libigl in float64 with signs by pseudo-normals.
+    network. The error is the mean over `unseen_near_points`, against libigl in float64 with signs by pseudo-normals.
     Raises ConfigurationError when libigl is not installed; it comes with sdfnet's cost extra.
     """
     frame %= len(trajectory.times)
     answers = _answers(networks, trajectory, samples, frame)
-    near = samples.near_points[:: max(1, len(samples.near_points) // ERROR_POINTS)]
-    true = exact_distances(near, trajectory.surface(frame))
-    errors = {method: MILLIMETRES * float(np.abs(answer(torch.from_numpy(near)).numpy() - true).mean()) for method, answer in answers.items()}
+    near = unseen_near_points(trajectory, samples.box)
+    true = exact_distances(near.numpy(), trajectory.surface(frame))
+    errors = {method: MILLIMETRES * float(np.abs(answer(near).numpy() - true).mean()) for method, answer in answers.items()}
     points, repeats = torch.from_numpy(samples.points), 2 if quick else REPEATS
     return [_batch_study(batch, answers, errors, points, repeats) for batch in (BATCHES[:2] if quick else BATCHES)]
 

@@ -49,7 +49,8 @@ def simulation_time_study(scene: Scene, mesh: TetMesh, duration: float | None = 
         error_label=f"RMS displacement error against {_reference_words(bases)}, same mass (mm)",
         cost_label=f"set-up and steps, {part_words(scene, scene)} (s)",
         points=tuple(point for points, _ in found for point in points),
-        notes=(*part_notes(part, scene), *_notes(found, masses, part_words(part, scene))),
+        notes=tuple(_notes(found, masses, part_words(part, scene))),
+        part=part_note(part, scene),
     )
 
 
@@ -59,11 +60,11 @@ def part_words(part: Scene, scene: Scene) -> str:
     return f"{before}{1e3 * scene.recording.duration:.3g} ms of motion"
 
 
-def part_notes(part: Scene, scene: Scene) -> tuple[str, ...]:
-    """What is measured and what is estimated, where only a part of the motion was run."""
+def part_note(part: Scene, scene: Scene) -> str:
+    """What is measured and what is estimated, where only a part of the motion was run; empty for all of it."""
     if part == scene:
-        return ()
-    return (f"Errors and counts are those of {part_words(part, scene)}; seconds are estimated for all of it: set-up once, the steps in proportion.",)
+        return ""
+    return f"Errors and counts are those of {part_words(part, scene)}; seconds are estimated for all of it: set-up once, the steps in proportion."
 
 
 def first_part(scene: Scene, duration: float | None) -> Scene:

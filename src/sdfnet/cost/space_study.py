@@ -11,7 +11,7 @@ import pyvista
 from jaxtyping import Float64
 from trimesh.triangles import points_to_barycentric
 
-from sdfnet.cost.simulation_study import clocked, counts_of, first_part, overrides_of, part_notes, part_words, rms_mm
+from sdfnet.cost.simulation_study import clocked, counts_of, first_part, overrides_of, part_note, part_words, rms_mm
 from sdfnet.cost.studies import Point, Study, Timing
 from sdfnet.errors import SdfnetError
 from sdfnet.geometry.solids import Box, ClosedSurface, Sphere
@@ -60,7 +60,7 @@ def simulation_space_study(scene: Scene, mesh: TetMesh, mesh_seconds: float, dur
         error_label="RMS displacement error against quadratic tets on the scene's mesh (mm)",
         cost_label=f"mesh, set-up and steps, {part_words(whole, whole)} (s)",
         points=tuple(points),
-        notes=part_notes(scene, whole),
+        part=part_note(scene, whole),
     )
 
 

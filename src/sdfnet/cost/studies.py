@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+SECONDS, BYTES = "seconds", "bytes"  # what a cost may be, besides the counts that a study names
 EXACT_MM = 1e-9  # stands for an error of zero, which no logarithm shows: a millionth of a micrometre
 
 
@@ -45,15 +46,13 @@ class Point:
     overrides: tuple[str, ...] = ()  # that make the commands do it; empty for a baseline
     failure: str | None = None  # a point that failed keeps its place, with the reason
     is_reference: bool = False  # what the others are measured against: no error by construction, so it is on no front and in no fit
+    cost: str = SECONDS  # what its cost is: SECONDS, BYTES or one of the counts
 
     @property
     def pair(self) -> tuple[float, float]:
-        """Error (mm) and cost for logarithmic axes, no error as EXACT_MM; nan of a point that failed.
-
-        The cost is the median of the seconds; of a point without a time, which is about size, the bytes, or without these the first count.
-        """
-        size = next(iter(self.counts.values()), None) if self.bytes is None else self.bytes
-        cost = size if self.seconds is None else self.seconds.median
+        """Error (mm) and cost, of seconds the median, for logarithmic axes; no error as EXACT_MM; nan of a point that failed."""
+        seconds = None if self.seconds is None else self.seconds.median
+        cost = {**self.counts, BYTES: self.bytes, SECONDS: seconds}.get(self.cost)
         if self.failure is not None or self.error_mm is None or cost is None:
             return math.nan, math.nan
         return max(self.error_mm, EXACT_MM), float(cost)
@@ -66,8 +65,9 @@ class Point:
     def words(self) -> str:
         """Method, setting, error and cost of a measured point."""
         error, cost = self.pair
-        size = f"{cost:,.0f} {next(iter(self.counts), '')}" if self.bytes is None else size_text(cost)
-        return f"{self.method}, {self.setting} ({error:.3g} mm, {size if self.seconds is None else duration_text(cost)})"
+        texts = {SECONDS: duration_text, BYTES: size_text}
+        shown = texts[self.cost](cost) if self.cost in texts else f"{cost:,.0f} {self.cost}"
+        return f"{self.method}, {self.setting} ({error:.3g} mm, {shown})"
 
 
 @dataclass(frozen=True)
@@ -80,18 +80,24 @@ class Study:
     cost_label: str  # what the seconds or bytes are of: "for 10 ms of motion (s)"
     points: tuple[Point, ...]
     share_of_whole: float = 1.0  # part of this stage of a default run that the seconds are of: one frame of a hundred
+    part: str = ""  # a sentence that says what was measured of how much, where it was not all
     notes: tuple[str, ...] = ()  # sentences that only the study itself can write: fitted orders, what a choice changes
 
 
-def interleaved(tasks: Mapping[str, Callable[[], Any]], repeats: int, warm_up: int = 1) -> dict[str, Timing]:
-    """Time tasks in turns, so that a noisy moment of the machine falls on all of them; `warm_up` turns are not counted."""
+def interleaved(tasks: Mapping[str, Callable[[], Any]], repeats: int, least_seconds: float = 0.0, warm_up: int = 1) -> dict[str, Timing]:
+    """Time tasks in turns, so that a noisy moment of the machine falls on all of them; `warm_up` turns are not counted.
+
+    In a turn a task is called until `least_seconds` have passed, and counts with the mean of its calls.
+    """
     seconds: dict[str, list[float]] = {name: [] for name in tasks}
     for turn in range(warm_up + repeats):
         for name, task in tasks.items():
-            began = time.perf_counter()
-            task()
+            began, calls, passed = time.perf_counter(), 0, 0.0
+            while calls == 0 or passed < least_seconds:
+                task()
+                calls, passed = calls + 1, time.perf_counter() - began
             if turn >= warm_up:
-                seconds[name].append(time.perf_counter() - began)
+                seconds[name].append(passed / calls)
     return {name: Timing.of(found) for name, found in seconds.items()}
 
 

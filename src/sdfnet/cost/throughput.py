@@ -131,8 +131,7 @@ def plain_training(family: ShapeFamily, networks: Networks) -> Iterator[float]:
         began = time.perf_counter()
         for shape, points, distances in loader:
             optimizer.zero_grad()
-            with torch.autocast("cpu", enabled=False):
-                sdf_loss(plain(shape, points[0]), distances).backward()
+            sdf_loss(plain(shape, points[0]), distances).backward()
             optimizer.step()
             yield distances.numel() / (time.perf_counter() - began)
             began = time.perf_counter()

@@ -7,9 +7,11 @@ import numpy as np
 import torch
 
 from sdfnet.cost.studies import Point, Study, Timing
+from sdfnet.cost.unseen_points import unseen_near_points
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.errors import TrainingError
 from sdfnet.evaluation.field_errors import field_errors
+from sdfnet.geometry.distance import SurfaceDistance
 from sdfnet.models.networks import Networks
 from sdfnet.models.settings import ModelSettings
 from sdfnet.training.fitting import fit_quietly
@@ -17,7 +19,6 @@ from sdfnet.training.module import SdfTraining
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 
 MEASURED_FRAMES = 11
-NEAR_POINTS = 20_000  # of the stored samples about the surface: the mean error is known to about 1 %
 UNLIMITED_EPOCHS = 100_000  # where a budget of seconds ends the training
 
 
@@ -74,16 +75,14 @@ def training_study(
     return study, trained
 
 
-def near_error_mm(networks: Networks, family: ShapeFamily, frames: int = MEASURED_FRAMES, points: int = NEAR_POINTS) -> float:
-    """Mean over frames of the distance's error at points within 1 % of D of the true surface, mm."""
-    samples, diagonal, latents = family.samples, family.trajectory.mesh.diagonal, networks.latents(family.shapes.cpu())
-    chosen = slice(None, None, max(1, len(samples.near_points) // points))
-    asked = torch.from_numpy(samples.near_points[chosen])
-    found = []
+def near_error_mm(networks: Networks, family: ShapeFamily, frames: int = MEASURED_FRAMES) -> float:
+    """Mean over frames of the distance's error at those of `unseen_near_points` within 1 % of D of the true surface, mm."""
+    trajectory, latents = family.trajectory, networks.latents(family.shapes.cpu())
+    asked, truth, found = unseen_near_points(trajectory, family.samples.box), SurfaceDistance(trajectory.surface(0)), []
     for frame in np.unique(np.linspace(0, len(latents) - 1, frames).round().astype(int)):
-        with torch.inference_mode():
-            predicted = networks.decoder(latents[frame : frame + 1], asked)[0]
-        found.append(field_errors(predicted, torch.from_numpy(samples.near_distances[frame][chosen]), diagonal).mae_within_1_percent_mm)
+        truth.deform(trajectory.surface_vertices[frame])
+        predicted = networks.decoder.distances(latents[frame], asked)
+        found.append(field_errors(predicted, truth.signed_distance(asked), trajectory.mesh.diagonal).mae_within_1_percent_mm)
     return float(np.mean(found))
 
 

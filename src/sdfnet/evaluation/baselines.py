@@ -1,5 +1,8 @@
 """KNN-1, the paper's "ideal" (Results): the distance at a point is that of the frame's nearest sample."""
 
+import math
+
+import numpy as np
 import torch
 from jaxtyping import Float32, Int32
 from scipy.spatial import cKDTree
@@ -42,9 +45,15 @@ class NearestSample:
         return values
 
 
-def nearest_sample_bytes(kept: int) -> int:
-    """Size of one frame's KNN-1 model: position and distance of each kept sample, float32."""
-    return kept * (3 + 1) * NUMBER_BYTES
+def nearest_sample_bytes(kept: Int32[np.ndarray, "frames kept"]) -> int:
+    """Size of KNN-1 for all frames, whose samples are the points in `kept`, numbers in float32, by the smaller of two layouts.
+
+    Position and distance of each sample of each frame; or the positions of all points once, for each frame a bit for
+    every point that says whether it is a sample, and the distances of those that are.
+    """
+    points = int(np.count_nonzero(np.bincount(kept.reshape(-1))))
+    distances = kept.size * NUMBER_BYTES
+    return min(kept.size * 3 * NUMBER_BYTES, points * 3 * NUMBER_BYTES + len(kept) * math.ceil(points / 8)) + distances
 
 
 def _first_kept(kept: Tensor, neighbours: Tensor) -> tuple[Tensor, Tensor]:

@@ -44,7 +44,7 @@ class Evaluation:
     volume_errors: dict[int, VolumeErrors]
     eikonal_errors: dict[int, EikonalErrors]
     surfaces: dict[int, dict[str, Surface]]  # by frame, then truth or method
-    knn1_bytes_per_frame: int
+    knn1_bytes: int  # for all frames
     distinct_latents: int  # of all frames, as stored: 1 when the encoder tells no frame from another
     seconds: dict[str, float] = field(default_factory=dict)
     failures: dict[int, str] = field(default_factory=dict)  # by frame, why the network has no surface there
@@ -87,7 +87,7 @@ def evaluate(
     `progress(done, total)` is called after every frame.
     """
     frames, wanted = _measured_and_wanted(settings, len(trajectory.times), unseen_frames)
-    volume_frames = {frames[round(k)] for k in np.linspace(0, len(frames) - 1, settings.volume_frames)}
+    volume_frames = {frames[round(k)] for k in np.linspace(len(frames) - 1, 0, settings.volume_frames)}  # of one the last
     mesh = trajectory.mesh
     vertices = torch.from_numpy(trajectory.surface_vertices.astype(np.float32))
     grid = Grid(samples.box.lower, samples.box.upper, settings.resolution)
@@ -99,7 +99,7 @@ def evaluate(
     marched = _Marched(networks, latents, samples, grid, clock)
     truth = SurfaceDistance(trajectory.surface(0))
     by_method: dict[str, dict[int, SurfaceErrors]] = {method: {} for method in METHODS}
-    evaluation = Evaluation(networks, by_method, {}, {}, {}, {frame: {} for frame in wanted}, nearest_sample_bytes(samples.kept.shape[1]), distinct_latents)
+    evaluation = Evaluation(networks, by_method, {}, {}, {}, {frame: {} for frame in wanted}, nearest_sample_bytes(samples.kept), distinct_latents)
     for place, frame in enumerate(frames):
         true = trajectory.surface(frame)
         truth.deform(true.vertices)

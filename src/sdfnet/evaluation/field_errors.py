@@ -56,8 +56,8 @@ def volume_errors(
 ) -> VolumeErrors:
     """Compare two solids, given as functions that say which points are inside, by uniform points in a box about both.
 
-    `lower` and `upper` (m) are the corners of the union of their boxes. Raises ReconstructionError when no point falls
-    inside the true solid. A million points resolve about 0.1 % of its volume.
+    `lower` and `upper` (m) are the corners of a box that holds both. Raises ReconstructionError when no point falls
+    inside the true solid. With n of them inside, the volume is known to about one part in sqrt(n).
     """
     points = torch.from_numpy(np.random.default_rng(seed).uniform(lower, upper, (samples, 3)).astype(np.float32))
     predicted, true = predicted_inside(points), true_inside(points)

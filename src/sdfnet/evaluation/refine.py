@@ -12,8 +12,8 @@ from sdfnet.geometry.surface import Surface
 def refined_surface(surface: Surface, field: Callable[[Float32[Tensor, "points 3"]], Float32[Tensor, " points"]], longest: float, steps: int) -> Surface:
     """Newton steps x - f(x) g / |g|^2 along the gradient g of the field, for every vertex x, none longer than `longest` (m); the faces stay.
 
-    `longest` bounds what a step can do where the gradient nearly vanishes; half a cell of the grid keeps a triangle
-    from turning over. A vertex whose gradient is zero stays.
+    `longest` bounds what a step can do where the gradient nearly vanishes. A vertex whose gradient is zero stays. Triangles
+    much smaller than a step may turn over.
     """
     vertices = torch.from_numpy(surface.vertices)
     for _ in range(steps):

@@ -35,8 +35,8 @@ NETWORK_ROWS = (  # mean over the volume frames; only a network has a field to a
     ("intersection_over_union_mean", "volume overlap (IoU)", 4),
     ("volume_error_percent_mean", "volume error (%)", 3),
     ("mae_within_1_percent_mm_mean", "field error within 1 % of D (mm)", 3),
-    ("mae_mm_mean", "field error, whole box (mm)", 3),
-    ("sign_error_percent_mean", "points on the wrong side (%)", 3),
+    ("mae_mm_mean", "field error, all samples (mm)", 3),
+    ("sign_error_percent_mean", "samples on the wrong side (%)", 3),
     ("eikonal_mean", "gradient length off 1", 3),
 )
 
@@ -50,7 +50,7 @@ def result_of(evaluation: Evaluation, trajectory: Trajectory, train_frames: list
         **evaluation.summary(unseen),
         **evaluation.networks.sizes(frames),
         "storage": evaluation.networks.storage,
-        "knn1_bytes": evaluation.knn1_bytes_per_frame * frames,
+        "knn1_bytes": evaluation.knn1_bytes,
         "diagonal_mm": trajectory.mesh.diagonal * 1e3,
         **{f"{stage.replace(' ', '_')}_seconds": value for stage, value in seconds.items()},
         **{f"evaluate_{stage}_seconds": value for stage, value in evaluation.seconds.items()},
