@@ -171,6 +171,16 @@ def test_a_lucky_seed_leaves_no_larger_network_out_before_the_others_of_its_row_
     assert "model.width=32" in json.loads((sweep / "sweep.json").read_text())["smallest"]
 
 
+def test_a_lucky_seed_is_no_knee(sweep: Path) -> None:
+    before = knee_of(read_jobs(sweep), Target())
+    write_job(sweep, ["model.width=9", "seed=0"], result(81, 0.01, 0.01))
+    bend = knee_of(read_jobs(sweep), Target())
+    assert bend is None
+    assert before is not None
+    write_job(sweep, ["model.width=9", "seed=1"], None, FAILED)
+    assert knee_of(read_jobs(sweep), Target()) == before
+
+
 def test_where_nothing_is_settled_no_network_is_called_the_smallest(tmp_path: Path) -> None:
     write_job(tmp_path, ["model.width=4", "seed=0"], result(16, 0.1, 0.1))
     write_job(tmp_path, ["model.width=4", "seed=1"], None, RUNNING)
@@ -240,13 +250,22 @@ def test_jobs_of_one_dataset_trained_on_different_files_are_told_apart(sweep: Pa
     assert sentences_of(read_jobs(sweep), Target())[-1] == said
 
 
+@pytest.mark.parametrize(("seconds", "is_said"), [(90.0, True), (None, False)])
+def test_jobs_that_seconds_ended_on_other_threads_are_told_apart(sweep: Path, seconds: float | None, is_said: bool) -> None:
+    for width, threads in ((8, 1), (16, 2)):
+        settings = {"settings": {"training": {"seconds": seconds}}, "threads": threads}
+        (sweep / f"model.width={width}_seed=0" / RESULT_FILE).write_text(json.dumps(result(width**2, 0.4, 0.9) | settings))
+    said = "Seconds end these trainings, and they had different threads, so that their steps differ: 1, 2."
+    assert (said in sentences_of(read_jobs(sweep), Target())) == is_said
+
+
 def test_sentences_name_the_smallest_its_command_and_the_knee(sweep: Path) -> None:
     jobs = read_jobs(sweep)
     text = "\n".join(sentences_of(jobs, Target()))
     assert "12 of 14 jobs finished" in text
     assert "1,024 parameters" in text
     assert "python train.py model.width=32 seed=1" in text.splitlines()[-2]  # the seed whose error is the median
-    bend = knee_of(rows_of(jobs, Target()), Target())
+    bend = knee_of(jobs, Target())
     assert bend is not None
     assert f"The knee is at {bend.decoder_parameters:,} parameters" in text
     assert "the best has 0.200 mm with 4,096 parameters" in "\n".join(sentences_of(jobs, Target(chamfer_l1_mm=0.01)))
@@ -276,7 +295,9 @@ def test_command_of_a_job_of_a_sweeps_page_runs_the_job_alone() -> None:
 
 def test_command_trains_on_as_many_threads_as_the_job_had(sweep: Path) -> None:
     for seed, threads in ((0, 7), (1, 3), (2, 7)):
-        (sweep / f"model.width=32_seed={seed}" / RESULT_FILE).write_text(json.dumps(result(1024, 0.1, 0.3 + seed / 100) | {"threads": threads}))
+        (sweep / f"model.width=32_seed={seed}" / RESULT_FILE).write_text(
+            json.dumps(result(1024, 0.1, 0.3 + seed / 100) | {"threads": threads, "settings": {"training": {"seconds": None}}})
+        )
     assert "Train it again: python train.py model.width=32 seed=1 trainer.threads=3" in sentences_of(read_jobs(sweep), Target())
     assert command_of(["trainer.threads=2"], 2) == "python train.py trainer.threads=2"
 

@@ -10,11 +10,14 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
+from threading import Event, Thread
 
 import joblib
 import pytest
 import torch
+from filelock import FileLock
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
@@ -25,7 +28,9 @@ from sdfnet.cli.sweep_plan import folder_name, require_objectives
 from sdfnet.cost.sweep_table import Target, read_jobs, unplanned, write_plan
 from sdfnet.data.prepare import PreparedFiles
 from sdfnet.errors import ConfigurationError
+from sdfnet.geometry.solids import ClosedSurface
 from sdfnet.models.networks import RECORD
+from sdfnet.stopping import Stopped
 from tests.runs.resumable_run import BALL
 
 TINY = [
@@ -97,7 +102,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_error_of_any_kind_is_a_row_with_its_traceback_in_the_log_and_the_other_jobs_go_on(
     command: Callable[..., None], trained: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit, match="1"):
+    with pytest.raises(SystemExit, match="^1$"):
         command("train", *TINY, "model.width=0,13,16", "-m")
     assert len(trained) == 2
     rows = jobs_of("experiment-smoke")
@@ -120,8 +125,52 @@ def test_overrides_after_the_option_belong_to_the_sweep_and_a_second_start_says_
     assert len(trained) == 2
 
 
+def test_settings_that_are_refused_later_leave_what_has_finished(
+    command: Callable[..., None], trained: list[str], capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("train", *TINY, "trainer.accelerator=cuda", "model.width=8,16", "-m")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    command(*words)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    command(*words)
+    assert [row["status"] for row in jobs_of("experiment-smoke").values()] == ["finished", "finished"]
+    assert "trainer.accelerator=cuda needs a CUDA device, found none; use auto or cpu: what had finished is kept" in capfd.readouterr().out
+    assert len(trained) == 2
+
+
+def test_second_sweep_in_the_folder_of_one_that_runs_is_refused(command: Callable[..., None], trained: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    Path("here").mkdir()
+    with FileLock("here/.lock"), pytest.raises(SystemExit, match="one sweep at a time can run in a folder, found one that runs in 'here'; wait for its end"):
+        command("train", *TINY, "model.width=8,16", "hydra.sweep.dir=here", "-m")
+    assert (trained, list(Path("here").glob("*.json"))) == ([], [])
+
+
+def test_a_sweep_that_is_told_to_stop_waits_for_its_jobs_and_told_again_it_does_not(tmp_path: Path) -> None:
+    seconds: list[float] = []
+
+    def end_when_told() -> None:
+        with FileLock(tmp_path / ".job.lock"):
+            holds.set()
+            while not (tmp_path / ".stop").exists():
+                time.sleep(0.01)
+            time.sleep(0.2)  # the step and its checkpoint
+            seconds.append(time.monotonic())
+
+    holds, job = Event(), Thread(target=end_when_told)
+    job.start()
+    holds.wait()
+    with pytest.raises(Stopped, match="SIGINT"):
+        sweep._stop_jobs(tmp_path, signal.SIGINT)
+    assert [ended <= time.monotonic() for ended in seconds] == [True]
+    job.join()
+    with FileLock(tmp_path / ".job.lock"), pytest.raises(Stopped, match="SIGTERM"):
+        sweep._stop_jobs(tmp_path, signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt):
+        sweep_process.require_going_on(tmp_path)
+
+
 def test_option_that_hydra_does_not_have_begins_no_sweep(command: Callable[..., None], trained: list[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
+    with pytest.raises(SystemExit, match="^2$"):
         command("train", *TINY, "model.width=8,16", "-m", "--parallel")
     assert not Path("outputs/sweep").exists()
 
@@ -156,22 +205,17 @@ def test_folder_that_was_typed_with_a_time_in_it_is_one_folder_with_a_table(comm
 
 
 @pytest.mark.parametrize(
-    ("width", "objectives", "minimised"),
-    [
-        (8, "chamfer_l1_mm_mean", 0.125),
-        (8, "chamfer_l1_mm_worst,decoder_parameters", (0.25, 64.0)),
-        (13, "chamfer_l1_mm_mean,decoder_parameters", None),
-        (14, "chamfer_l1_mm_worst,decoder_parameters", None),
-    ],
+    ("widths", "objectives", "minimised"),
+    [("8", "chamfer_l1_mm_mean", [0.125]), ("8,13,14", "chamfer_l1_mm_worst,decoder_parameters", [(0.25, 64.0), None, None])],
 )
 def test_sweeper_is_given_every_objective_or_none(
-    command: Callable[..., None], trained: list[str], monkeypatch: pytest.MonkeyPatch, width: int, objectives: str, minimised: object
+    command: Callable[..., None], trained: list[str], monkeypatch: pytest.MonkeyPatch, widths: str, objectives: str, minimised: list[object]
 ) -> None:
     run_job, returned = sweep.run_job, []
     monkeypatch.setattr(sweep, "run_job", lambda config: returned.append(run_job(config)))
-    with pytest.raises(SystemExit) if width == 13 else nullcontext():
-        command("train", *TINY, f"model.width={width}", f"target.objectives=[{objectives}]", "-m")
-    assert returned == [minimised]
+    with pytest.raises(SystemExit) if None in minimised else nullcontext():
+        command("train", *TINY, f"model.width={widths}", f"target.objectives=[{objectives}]", "-m")
+    assert returned == minimised
 
 
 @pytest.fixture
@@ -290,6 +334,16 @@ def test_no_folder_needs_quotes_and_no_two_settings_share_one() -> None:
         assert OverridesParser.create().parse_override(f"checkpoint=outputs/sweep/{name}/last.ckpt").value() == f"outputs/sweep/{name}/last.ckpt"
 
 
+def test_what_the_geometry_is_read_from_is_part_of_what_a_job_is(tmp_path: Path) -> None:
+    surface = ClosedSurface(path=str(tmp_path / "mine.obj"))
+    settings = TrainSettings(replace(BALL, scene=replace(BALL.scene, geometry=surface)))
+    keys = []
+    for contents in ("one", "one", "another"):
+        (tmp_path / "mine.obj").write_text(contents)
+        keys.append(settings.key)
+    assert keys[0] == keys[1] != keys[2]
+
+
 @pytest.mark.parametrize("path", ["outputs/a/last.ckpt", "a=1,2/last.ckpt", "it's/last.ckpt", "1", "null", "a b/c", "/x[1]/y"])
 def test_any_path_can_be_the_value_of_an_override(path: str) -> None:
     assert OverridesParser.create().parse_override(f"resume={quoted(Path(path))}").value() == path
@@ -334,7 +388,7 @@ def test_stopped_sweep_prints_the_command_that_was_typed(
     command: Callable[..., None], trained: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sweep, "train_in_a_process", lambda *arguments, **named: os.kill(os.getpid(), signal.SIGINT))
-    with pytest.raises(SystemExit, match="130"):
+    with pytest.raises(SystemExit, match="^130$"):
         command("train", *TINY, "model.width=8,12", "-m")
     out, err = capfd.readouterr()
     assert f"the same command goes on from there: {shlex.join(['python', 'train.py', *TINY, 'model.width=8,12', '-m'])}\n" in err
@@ -352,6 +406,8 @@ def test_only_a_launchers_process_ends_with_the_sweep_that_it_works_for(
     monkeypatch.setattr(os, "getppid", lambda: parent)  # 1 is who adopts a process whose parent is gone
     monkeypatch.setattr(os, "_exit", codes.append)
     with subprocess.Popen(["sleep", "60"]) as job:
+        wait = job.wait
+        monkeypatch.setattr(job, "wait", lambda timeout=None: wait(timeout and 0.05))
         sweep_process._wait(job)
         assert (codes, job.poll() is not None) == (([1], True) if ends else ([], False))
         job.kill()
@@ -401,6 +457,31 @@ def test_sweep_killed_at_some_moment_and_started_again_ends_with_the_same_table(
     assert {job: [row[name] for name in numbers] for job, row in jobs_of("experiment-smoke").items()} == expected
     logs = "".join(path.read_text() for path in Path("outputs/sweep").rglob("training.log"))
     assert "goes on from outputs/sweep" in logs
+
+
+@pytest.mark.slow
+def test_trainings_of_a_sweep_that_is_told_to_stop_end_with_a_checkpoint() -> None:
+    words = ["model.width=12,16", "training.epochs=2000", "trainer.checkpoint_seconds=1e9"]
+    told = subprocess.Popen([*SWEEP, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    deadline = time.monotonic() + 120
+    while len(list(Path("outputs/sweep").rglob("events.out*"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(2)  # into the training
+    told.send_signal(signal.SIGINT)
+    out, _ = told.communicate()
+    assert told.returncode == 130, out
+    assert "the same command goes on from there" in out
+    assert len(list(Path("outputs/sweep").rglob("latest.ckpt"))) == 2
+
+
+@pytest.mark.slow
+def test_search_goes_on_with_what_it_knows() -> None:
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="its sweeper comes with pip install 'sdfnet[search]'")
+    search = [*SWEEP[:3], *TINY, "sweep=search", "hydra.sweeper.n_trials=2", "hydra.sweeper.n_jobs=1"]
+    for jobs in (2, 4):
+        done = subprocess.run(search, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert f"{jobs} of {jobs} jobs finished" in done.stdout
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from sdfnet.cli.screen import screen
-from sdfnet.cost.sweep_table import overrides_alone
+from sdfnet.cost.sweep_table import overridden, overrides_alone
 
 
 def typed() -> list[str]:
@@ -23,7 +23,7 @@ def take_over(name: str) -> None:
     """Put the settings of the run that `resume` or `checkpoint` names before those that are typed, which win; say which they are."""
     overrides = typed()
     setting = {"train": "resume", "evaluate": "checkpoint"}.get(name)
-    given = [line for line in overrides if key_of(line) == setting]
+    given = [line for line in overrides if overridden(line) == setting]
     try:
         checkpoint = OverridesParser.create().parse_override(given[-1]).value() if given else ""
     except HydraException:  # the command is refused with the reason when it is composed
@@ -34,7 +34,7 @@ def take_over(name: str) -> None:
     if not settings.is_dir():
         return
     offered = typed_for(settings) if name == "train" else measured_with(settings)
-    taken = [line for line in offered if key_of(line) not in {"resume", *map(key_of, overrides)}]
+    taken = [line for line in offered if overridden(line) not in {"resume", *map(overridden, overrides)}]
     if taken:
         place = sys.argv.index(overrides[0])
         sys.argv[place:place] = taken
@@ -43,7 +43,9 @@ def take_over(name: str) -> None:
 
 def typed_for(settings: Path) -> list[str]:
     """What was typed for a run, to be given to one run alone; `settings` is its folder .hydra."""
-    return list(overrides_alone(list(OmegaConf.load(settings / "overrides.yaml"))))
+    words = OmegaConf.to_container(OmegaConf.load(settings / "overrides.yaml"))  # interpolations as they were typed
+    assert isinstance(words, list)
+    return list(overrides_alone(words))
 
 
 def measured_with(settings: Path) -> list[str]:
@@ -63,8 +65,3 @@ def quoted(path: Path) -> str:
     """A path as the value of an override; in quotes where Hydra would read signs such as `=` and `,` as its own."""
     text = str(path)
     return text if re.fullmatch(r"[\w.+-]*/[\w./+-]*", text, re.ASCII) else "'" + text.replace("'", r"\'") + "'"
-
-
-def key_of(override: str) -> str:
-    """`model.width` of `model.width=64`, `effect@weight` of `+effect@weight=gravity`."""
-    return override.split("=", 1)[0].lstrip("+~")

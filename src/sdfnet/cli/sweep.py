@@ -8,13 +8,16 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Collection, Sequence
+from contextlib import nullcontext
+from functools import partial
 from itertools import count
 from pathlib import Path
+from types import FrameType
 
 import joblib
 import torch
 from cloudpickle import register_pickle_by_value
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
@@ -22,7 +25,7 @@ from sdfnet.cli.earlier_run import last_checkpoint, quoted, typed
 from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import TrainSettings
 from sdfnet.cli.sweep_plan import folder_name, folder_of_sweep, planned_jobs, require_objectives
-from sdfnet.cli.sweep_process import LOG_FILE, SWEEP_PROCESS, train_in_a_process
+from sdfnet.cli.sweep_process import LOG_FILE, STOP_FILE, SWEEP_PROCESS, require_going_on, train_in_a_process
 from sdfnet.cost.sweep_report import sentences_of, table_of, write_tables
 from sdfnet.cost.sweep_table import (
     FAILED,
@@ -42,12 +45,15 @@ from sdfnet.cost.sweep_table import (
 )
 from sdfnet.data.prepare import prepare
 from sdfnet.data.store import write_json
-from sdfnet.errors import SdfnetError, TrainingError
+from sdfnet.errors import ConfigurationError, SdfnetError, TrainingError
 from sdfnet.models.decoder import SdfCalculator
 from sdfnet.models.networks import RECORD, read_checkpoint
 from sdfnet.plugin_modules import PLUGIN_PACKAGE
 from sdfnet.plugins import find_datasets, frozen
+from sdfnet.stopping import Stopped, signals_handled
 
+JOB_LOCK = ".{}.lock"  # beside the folder of a job that runs
+LOCK_FILE = ".lock"  # in the folder of a sweep that runs
 SET_ASIDE = "earlier"  # the folder in a sweep's for what jobs cannot go on with
 
 
@@ -60,7 +66,21 @@ def sweep(start: Callable[[], None], composed: DictConfig) -> None:
     folder = folder_of_sweep(composed, overrides)
     planned = planned_jobs(composed, overrides)
     require_objectives(composed, target)
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(folder / LOCK_FILE, timeout=0):
+            is_whole = _run_all(start, composed, folder, planned)
+    except Timeout as error:
+        raise ConfigurationError(f"one sweep at a time can run in a folder, found one that runs in '{folder}'; wait for its end") from error
+    if not is_whole:
+        sys.exit(1)
+
+
+def _run_all(start: Callable[[], None], composed: DictConfig, folder: Path, planned: Sequence[list[str]] | None) -> bool:
+    """Let Hydra run the jobs in the folder, and print the table; whether all that were asked for finished."""
+    overrides, target = typed(), frozen(composed.target)
     write_plan(folder, None if planned is None else {folder_name(job): job for job in planned})
+    (folder / STOP_FILE).unlink(missing_ok=True)
     given_up = [] if planned is not None else [job.folder for job in read_jobs(folder) if job.result is None]  # a search tries others
     place = sys.argv.index(overrides[0]) + len(overrides) if overrides else len(sys.argv)
     sys.argv[place:place] = [f"hydra.sweep.dir={quoted(folder)}", "hydra.sweep.subdir=.", "hydra.output_subdir=null"]
@@ -71,11 +91,22 @@ def sweep(start: Callable[[], None], composed: DictConfig) -> None:
         if name.startswith(PLUGIN_PACKAGE):
             register_pickle_by_value(module)  # a launcher's process has not loaded the plugins when the settings reach it
     try:
-        start()
+        with signals_handled(partial(_stop_jobs, folder)) if SWEEP_PROCESS in os.environ else nullcontext():
+            start()
     finally:  # whatever ended it, what was finished is shown
         is_whole = finish(folder, target, given_up)
-    if not is_whole:
-        sys.exit(1)
+    return is_whole
+
+
+def _stop_jobs(folder: Path, number: int, frame: FrameType | None = None) -> None:
+    """Have the trainings in a launcher's processes end with a checkpoint, for joblib would kill them; told again, do not wait. Raises Stopped."""
+    if not (folder / STOP_FILE).exists():
+        (folder / STOP_FILE).touch()
+        screen().print("stopping: each training ends its step and writes a checkpoint; told again, the sweep does not wait for that")
+        for lock in folder.glob(JOB_LOCK.format("*")):
+            with FileLock(lock):
+                pass
+    raise Stopped(number)
 
 
 def run_job(config: DictConfig) -> float | tuple[float, ...] | None:
@@ -88,7 +119,8 @@ def run_job(config: DictConfig) -> float | tuple[float, ...] | None:
     folder = sweep_folder / folder_name(overrides)
     folder.mkdir(parents=True, exist_ok=True)
     is_new = True
-    with FileLock(folder.with_name(f".{folder.name}.lock")):
+    with FileLock(folder.with_name(JOB_LOCK.format(folder.name))):
+        require_going_on(sweep_folder)
         try:
             find_datasets()  # in a launcher's process nothing has loaded them, and their code is part of a job's key
             is_new = _run_if_needed(frozen(config), overrides, folder, _jobs_at_once(hydra_config.launcher.get("n_jobs", 1), sweep_folder))
@@ -98,7 +130,11 @@ def run_job(config: DictConfig) -> float | tuple[float, ...] | None:
                 reason = f"{type(error).__name__}: {error}"
                 with (folder / LOG_FILE).open("a") as log:
                     traceback.print_exc(file=log)
-            _write_job(folder, overrides, read_job(folder).configuration, FAILED, reason)
+            earlier = read_job(folder)
+            if earlier.result is None:
+                _write_job(folder, overrides, earlier.configuration, FAILED, reason)
+            else:  # refused before anything was touched, on another machine perhaps
+                screen().print(f"{folder.name}: {reason}: what had finished is kept")
         job = read_job(folder)
     found = {name: (job.result or {}).get(name) for name in config.target.objectives}
     shown = ", ".join(f"{name} {'nothing' if value is None else f'{value:.4g}'}" for name, value in found.items()) if job.result else job.reason

@@ -13,7 +13,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from sdfnet.cost.sweep_table import WITHOUT_EFFECT, Target, is_of
+from sdfnet.cost.sweep_table import Target, changes_result, overridden
 from sdfnet.errors import ConfigurationError
 from sdfnet.plugins import shipped
 
@@ -22,7 +22,7 @@ LONGEST_NAME = 100  # letters of a folder's name; file systems allow 255 bytes
 
 def folder_of_sweep(composed: DictConfig, overrides: Sequence[str]) -> Path:
     """The one that was typed, its interpolations filled in once for all processes; else one named by what was typed."""
-    if not any(is_of(override, "hydra.sweep.dir=") for override in overrides):
+    if not any(overridden(override) == "hydra.sweep.dir" for override in overrides):
         return Path(f"outputs/sweep/{folder_name(overrides)}")
     try:
         return Path(composed.hydra.sweep.dir)
@@ -35,7 +35,7 @@ def planned_jobs(composed: DictConfig, overrides: Sequence[str]) -> list[list[st
     if not composed.hydra.sweeper._target_.endswith(".BasicSweeper"):
         return None
     of_page = [f"{key}={value}" for key, value in (composed.hydra.sweeper.params or {}).items()]
-    of_jobs = [override for override in overrides if not is_of(override, "hydra.", "hydra/")]
+    of_jobs = [override for override in overrides if not overridden(override).startswith(("hydra.", "hydra/"))]
     try:
         with hydra.initialize_config_dir(str(shipped("conf").resolve()), version_base="1.3"):
             parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
@@ -60,7 +60,7 @@ def folder_name(overrides: Sequence[str]) -> str:
 
     Each sign that it cannot hold becomes `-`. Where that could give two settings one name, or the name is too long, a hash tells them apart.
     """
-    last = {override.split("=", 1)[0]: override for override in overrides if not is_of(override, *WITHOUT_EFFECT)}
+    last = {overridden(override): override for override in overrides if changes_result(override)}
     asked = "_".join(last.values()) or "defaults"
     name = re.sub(r"[^\w.+-]", "-", asked, flags=re.ASCII)
     if name == asked.replace("=", "-") and "-" not in asked and len(name) <= LONGEST_NAME:

@@ -16,6 +16,7 @@ LOG_FILE = "training.log"
 REASON_LINES = 3  # of the log's end that are kept as a failed job's reason
 HYDRA_BEGINS = "Error executing job with overrides"  # the line before an error
 HYDRA_ENDS = "Set the environment variable HYDRA_FULL_ERROR"  # the line after it
+STOP_FILE = ".stop"  # in the folder of a sweep that was told to stop
 PARENT_DIES = 1  # PR_SET_PDEATHSIG of Linux' prctl.h
 SWEEP_PROCESS = "SDFNET_SWEEP_PROCESS"  # names in the environment the process with whose end its launcher's processes end
 
@@ -44,6 +45,7 @@ def train_in_a_process(folder: Path, overrides: Sequence[str], threads: int) -> 
         try:
             while process.poll() is None:
                 _wait(process)
+                require_going_on(folder.parent)
         except BaseException:
             process.terminate()
             process.wait()
@@ -63,6 +65,12 @@ def _wait(process: subprocess.Popen[bytes]) -> None:
             process.terminate()
             process.wait()
             os._exit(1)  # nobody is left to raise to; a launcher's process would wait for its next job for ever
+
+
+def require_going_on(sweep_folder: Path) -> None:
+    """Raise KeyboardInterrupt, which joblib can hand to the process of the sweep, where that was told to stop."""
+    if (sweep_folder / STOP_FILE).exists():
+        raise KeyboardInterrupt
 
 
 def _end_with_parent() -> None:

@@ -19,8 +19,8 @@ from sdfnet.cost.sweep_table import (
     Job,
     Row,
     Target,
-    is_of,
     knee_of,
+    overridden,
     overrides_alone,
     rows_of,
     shared_overrides,
@@ -35,7 +35,7 @@ def table_of(jobs: Sequence[Job], target: Target) -> Table:
     rows = rows_of(jobs, target)
     shared = shared_overrides(jobs)
     front = pareto_front([(row.error(target), row.size(target)) for row in rows])
-    smallest, bend = smallest_settled(jobs, target), knee_of(rows, target)
+    smallest, bend = smallest_settled(jobs, target), knee_of(jobs, target)
     table = Table(
         title=f"chamfer L1, median over the seeds (lowest to highest); good enough: {target.words()}",
         caption="size: parameters of the decoder; kB: of all frames, as stored, latents included; s: of training",
@@ -63,7 +63,7 @@ def table_of(jobs: Sequence[Job], target: Target) -> Table:
 def sentences_of(jobs: Sequence[Job], target: Target) -> list[str]:
     """Every job that was started and did not finish, with its reason; then the smallest network that is good enough, the knee, and their commands."""
     rows, shared = rows_of(jobs, target), shared_overrides(jobs)
-    bend = knee_of(rows, target)
+    bend = knee_of(jobs, target)
     sentences = [f"{job.status}: {short_setting(job.overrides, shared)}: {job.reason}" for job in jobs if job.result is None and job.status != NOT_STARTED]
     sentences += _answer(jobs, rows, target)
     if bend is not None:
@@ -107,7 +107,7 @@ def _answer(jobs: Sequence[Job], rows: Sequence[Row], target: Target) -> list[st
 
 
 def _mixtures(results: Sequence[dict[str, Any]]) -> list[str]:
-    """What makes results differ though their settings do not: other versions, and other files of the same dataset."""
+    """What makes results differ though their settings do not: other versions, other files of the same dataset, other threads where seconds end a training."""
     sentences = []
     versions = {f"{name} {version}" for result in results for name, version in result.get("versions", {}).items()}
     several = sorted(one for one in versions if sum(other.split()[0] == one.split()[0] for other in versions) > 1)
@@ -120,12 +120,15 @@ def _mixtures(results: Sequence[dict[str, Any]]) -> list[str]:
     remade = sorted(name for names in files.values() if len(names) > 1 for name in names)
     if remade:
         sentences.append(f"The jobs were trained on different files of the same dataset, and may differ for that alone: {', '.join(remade)}.")
+    threads = sorted({result["threads"] for result in results if "threads" in result and result["settings"]["training"]["seconds"] is not None})
+    if len(threads) > 1:
+        sentences.append(f"Seconds end these trainings, and they had different threads, so that their steps differ: {', '.join(map(str, threads))}.")
     return sentences
 
 
 def command_of(overrides: Sequence[str], threads: int | None = None) -> str:
     """The command line that trains a job alone, on as many threads as it had: on others a training of so many seconds takes other steps."""
-    given = [] if threads is None or any(is_of(override, "trainer.threads=") for override in overrides) else [f"trainer.threads={threads}"]
+    given = [] if threads is None or any(overridden(override) == "trainer.threads" for override in overrides) else [f"trainer.threads={threads}"]
     return shlex.join(["python", "train.py", *overrides_alone(overrides), *given])
 
 
@@ -138,7 +141,7 @@ def write_tables(sweep_folder: Path, jobs: Sequence[Job], target: Target) -> Non
             values = ["" if job.result is None else job.result.get(name, "") for name in JOB_COLUMNS]
             writer.writerow([" ".join(job.overrides), job.status, job.reason, *values])
     rows = rows_of(jobs, target)
-    smallest, bend = smallest_settled(jobs, target), knee_of(rows, target)
+    smallest, bend = smallest_settled(jobs, target), knee_of(jobs, target)
     contents = {
         "target": asdict(target),
         "rows": [asdict(row) | {"command": command_of(row.overrides, row.threads)} for row in rows],

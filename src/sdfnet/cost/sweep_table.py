@@ -16,7 +16,6 @@ from sdfnet.evaluation.metrics import SurfaceErrors
 
 JOB_FILE, RESULT_FILE, PLAN_FILE = "job.json", "result.json", "planned.json"
 FINISHED, FAILED, LEFT_OUT, RUNNING, NOT_STARTED = "finished", "failed", "left out", "running", "not started"
-WITHOUT_EFFECT = ("hydra.", "hydra/", "data_folder=", "target.")  # overrides that change neither a job nor its result
 FRAMES = ("worst", "mean")
 SIZES = ("decoder_parameters", "query_bytes")
 JOB_COLUMNS = (
@@ -85,7 +84,7 @@ class Job:
     @property
     def setting(self) -> tuple[str, ...]:
         """What jobs of one row share: its overrides without the seed and without those that change no result."""
-        return tuple(override for override in self.overrides if not is_of(override, "seed=", *WITHOUT_EFFECT))
+        return tuple(override for override in self.overrides if changes_result(override) and overridden(override) != "seed")
 
 
 @dataclass(frozen=True)
@@ -152,8 +151,9 @@ def read_job(folder: Path, planned: Sequence[str] = ()) -> Job:
 
 def unplanned(sweep_folder: Path) -> list[str]:
     """The folders of jobs that the sweep once had and no longer asks for."""
-    asked = {job.folder.name for job in read_jobs(sweep_folder)}
-    return [path.parent.name for path in sorted(sweep_folder.glob(f"*/{JOB_FILE}")) if path.parent.name not in asked]
+    planned = read_plan(sweep_folder)
+    started = [path.parent.name for path in sorted(sweep_folder.glob(f"*/{JOB_FILE}"))]
+    return [] if planned is None else [name for name in started if name not in planned]
 
 
 def rows_of(jobs: Sequence[Job], target: Target) -> list[Row]:
@@ -166,9 +166,14 @@ def rows_of(jobs: Sequence[Job], target: Target) -> list[Row]:
     return sorted(rows, key=lambda row: (row.size(target), row.error(target)))
 
 
-def is_of(override: str, *names: str) -> bool:
-    """Whether an override begins with one of these, also behind the signs with which Hydra adds and removes."""
-    return override.lstrip("+~").startswith(names)
+def overridden(override: str) -> str:
+    """`model.width` of `model.width=64`, `effect@weight` of `+effect@weight=gravity`."""
+    return override.split("=", 1)[0].lstrip("+~")
+
+
+def changes_result(override: str) -> bool:
+    """Whether it changes a job or its result, and not only where and how the job runs."""
+    return overridden(override) != "data_folder" and not overridden(override).startswith(("hydra.", "hydra/", "target."))
 
 
 def shared_overrides(jobs: Sequence[Job]) -> set[str]:
@@ -178,22 +183,28 @@ def shared_overrides(jobs: Sequence[Job]) -> set[str]:
 
 def short_setting(overrides: Sequence[str], shared: set[str]) -> str:
     """The overrides that not every job has, for a table or a sentence."""
-    return " ".join(override for override in overrides if override not in shared and not is_of(override, *WITHOUT_EFFECT)) or "(as it comes)"
+    return " ".join(override for override in overrides if override not in shared and changes_result(override)) or "(as it comes)"
 
 
 def overrides_alone(overrides: Sequence[str]) -> tuple[str, ...]:
     """The overrides that train a job alone, also where they name a page that makes a sweep of every command."""
-    return (*overrides, *(["hydra.mode=RUN"] if any(is_of(override, "sweep=") for override in overrides) else []))
+    return (*overrides, *(["hydra.mode=RUN"] if any(overridden(override) == "sweep" for override in overrides) else []))
+
+
+def settled_rows(jobs: Sequence[Job], target: Target) -> list[Row]:
+    """The rows of which every seed has finished: one lucky seed settles nothing."""
+    unsettled = {job.setting for job in jobs if job.result is None}
+    return [row for row in rows_of(jobs, target) if row.setting not in unsettled]
 
 
 def smallest_settled(jobs: Sequence[Job], target: Target) -> Row | None:
-    """The smallest row within the target of which every seed has finished, of equal ones the more accurate: one lucky seed settles nothing."""
-    unsettled = {job.setting for job in jobs if job.result is None}
-    return next((row for row in rows_of(jobs, target) if row.is_within_target and row.setting not in unsettled), None)
+    """The smallest settled row within the target, of equal ones the more accurate."""
+    return next((row for row in settled_rows(jobs, target) if row.is_within_target), None)
 
 
-def knee_of(rows: Sequence[Row], target: Target) -> Row | None:
-    """The row after which more size buys less and less."""
+def knee_of(jobs: Sequence[Job], target: Target) -> Row | None:
+    """The settled row after which more size buys less and less."""
+    rows = settled_rows(jobs, target)
     place = knee([(row.error(target), row.size(target)) for row in rows])
     return None if place is None else rows[place]
 
