@@ -6,7 +6,6 @@ a module named by an entry point of the group `sdfnet.effects` defines effects, 
 
 import hashlib
 import importlib.metadata
-import importlib.util
 import inspect
 import re
 import sys
@@ -83,13 +82,10 @@ def _loaded_file(path: Path) -> ModuleType:
     name = f"{PLUGIN_PACKAGE}.{path.stem}_{hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:8]}"
     if name in sys.modules:
         return sys.modules[name]
-    specification = importlib.util.spec_from_file_location(name, path)
-    if specification is None or specification.loader is None:
-        raise ConfigurationError(f"dataset plugin '{path}' cannot be loaded as Python")
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[name] = module
-    try:
-        specification.loader.exec_module(module)
+    module = sys.modules[name] = ModuleType(name)
+    module.__file__ = str(path)
+    try:  # not by an import loader: Python's compiled copy is of any file of that name, size and second
+        exec(compile(path.read_bytes(), path, "exec"), vars(module))
     except Exception as error:
         del sys.modules[name]
         raise ConfigurationError(f"dataset plugin '{path}' failed to load: {type(error).__name__}: {error}; mend it or move it out of the folder") from error

@@ -1,7 +1,9 @@
 """Files come back to the bit and say what they are; a name follows what a file was made from."""
 
+import importlib
 import json
-from dataclasses import dataclass
+import sys
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -11,7 +13,7 @@ from sdfnet.data import store
 from sdfnet.data.versions import versions
 from sdfnet.geometry.solids import Sphere
 from sdfnet.physics.effects.pinned import Pinned
-from sdfnet.scene import Effect, Material, Sampling
+from sdfnet.scene import Material, Sampling
 from tests.data.stored_examples import MESH, PROVENANCE, SAMPLES, TRAJECTORY, small_mesh, small_samples, small_trajectory, write_all
 
 
@@ -60,13 +62,6 @@ def test_every_array_says_its_unit_and_every_file_its_version_and_provenance() -
         assert provenance == {**PROVENANCE, "versions": versions()}
 
 
-@dataclass(frozen=True)
-class Tickle(Effect):
-    """An effect from outside sdfnet."""
-
-    strength: float = 1.0
-
-
 def test_a_key_follows_settings_and_their_kind_and_nothing_else() -> None:
     key = store.key_of(Sampling(), "abc")
     assert key == store.key_of(Sampling(), "abc")
@@ -79,8 +74,15 @@ def test_settings_are_described_as_plain_json_with_their_kind() -> None:
     assert json.loads(json.dumps(store.described({"foot": Pinned()})))["foot"]["region"]["normal"] == [0.0, 0.0, 1.0]
 
 
-def test_the_key_of_an_effect_from_outside_follows_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = store.key_of(Tickle())
-    assert store.described(Tickle())["strength"] == 1.0
-    monkeypatch.setattr("inspect.getsource", lambda kind: f"class {kind.__name__}: another")
-    assert store.key_of(Tickle()) != before
+def test_the_key_of_an_effect_from_outside_follows_the_code_of_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    code = "from dataclasses import dataclass\nHOW_MUCH = {}\n@dataclass(frozen=True)\nclass Tickle:\n    strength: float = 1.0\n"
+    keys = []
+    for name, number in (("ticklish", 1), ("ticklish", 1), ("ticklish", 2)):
+        (tmp_path / f"{name}.py").write_text(code.format(number))
+        monkeypatch.delitem(sys.modules, name, raising=False)
+        importlib.invalidate_caches()
+        tickle = importlib.import_module(name).Tickle()
+        assert store.described(tickle)["strength"] == 1.0
+        keys.append(store.key_of(tickle))
+    assert keys[0] == keys[1] != keys[2], "a constant beside the class is its code too"

@@ -12,6 +12,7 @@ from sdfnet.data.settings import SPLITS, BatchSettings
 from sdfnet.data.store import key_of
 from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.settings import EvaluationSettings
+from sdfnet.geometry.solids import MeshedGeometry
 from sdfnet.models.settings import ModelSettings
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
 from sdfnet.verification import CASES
@@ -96,8 +97,13 @@ class TrainSettings:
 
     @property
     def key(self) -> str:
-        """The hash of everything that a result depends on: the same wherever, on however many threads and however often it is run."""
-        return key_of(replace(self, resume=None, data_folder="", target=Target(), trainer=TrainerSettings(precision=self.trainer.precision)))
+        """The hash of the settings that change a result, and of the files that the mesh is made from: the same wherever and however often it is run.
+
+        Threads are not in it: they change a result only where seconds end a training, which the table of a sweep says.
+        """
+        asked = replace(self, resume=None, data_folder="", target=Target(), trainer=TrainerSettings(precision=self.trainer.precision))
+        geometry = self.dataset.scene.geometry
+        return key_of(asked, geometry.inputs_digest() if isinstance(geometry, MeshedGeometry) else "")
 
 
 @dataclass(frozen=True)
@@ -149,12 +155,6 @@ class CostSettings:
             raise ConfigurationError(f"studies={needing[0]} needs a network, found none; add training to studies, or give checkpoint=...")
         if "network" in self.studies and not has_network and self.sweep_folder is None:
             raise ConfigurationError("studies=network needs a network, found none; add training to studies, or give checkpoint=... or sweep_folder=...")
-        measured_near = [name for name in ("training", "queries") if name in self.studies]
-        if measured_near and self.dataset.sampling.near_surface_count == 0:
-            raise ConfigurationError(
-                f"studies={measured_near[0]} measures errors at samples near the surface, found dataset.sampling.near_surface_count=0; "
-                f"raise it, or leave {' and '.join(measured_near)} out of studies"
-            )
         if self.precision not in PRECISIONS:
             raise ConfigurationError(f"precision must be one of {', '.join(PRECISIONS)}; found '{self.precision}'")
         if any(not wanted > 0 for wanted in self.wanted_mm):

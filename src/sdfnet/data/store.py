@@ -10,6 +10,7 @@ import json
 import math
 import os
 import shutil
+import sys
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -50,7 +51,7 @@ class DistanceSamples:
 def described(settings: Any) -> Any:
     """Settings as plain JSON values, the class of every dataclass included, for hashing and provenance.
 
-    A class from elsewhere (an effect of a plugin) is described by its code too, so that what was made with other code is not taken for its own.
+    A class from elsewhere (an effect of a plugin) is described by the code of its module too, so that what was made with other code is not taken for its own.
     """
     if is_dataclass(settings) and not isinstance(settings, type):
         kind = type(settings)
@@ -235,8 +236,8 @@ def _foreign_code(kind: type) -> dict[str, str]:
     if kind.__module__.startswith("sdfnet."):
         return {}
     try:
-        return {"code": sha256(inspect.getsource(kind).encode()).hexdigest()[:12]}
-    except (OSError, TypeError):  # typed at a prompt
+        return {"code": sha256(inspect.getsource(sys.modules[kind.__module__]).encode()).hexdigest()[:12]}
+    except (KeyError, OSError, TypeError):  # typed at a prompt
         return {}
 
 
