@@ -16,7 +16,7 @@ def test_the_scene_of_the_readme_is_a_dataset(tmp_path: Path) -> None:
     assert set(find_datasets([tmp_path])) == {"shelf"}
 
 
-@pytest.mark.filterwarnings("ignore:.*does not have many workers.*", "ignore:.*LeafSpec.*", "ignore:.*logging interval.*")
+@pytest.mark.filterwarnings("ignore:.*logging interval.*")
 def test_the_notebook_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, object] = {}
     exec(compile(NOTEBOOK[0], "README.md", "exec"), names)

@@ -2,22 +2,32 @@
 
 import re
 import shlex
+from functools import cache
+from pathlib import Path
 
 import pytest
 import torch
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from sdfnet.cli.entry import SCHEMAS, register
+from sdfnet.cli.mistakes import check_overrides
 from sdfnet.cli.settings import TrainerSettings
 from sdfnet.evaluation.settings import EvaluationSettings
 from sdfnet.models.decoder import SdfCalculator
 from sdfnet.plugins import frozen, shipped
 from tests.composition import composed
 
+ROOT = Path(__file__).parents[1]
+
 
 def _choices(group: str) -> list[str]:
     return [f"{group}={path.stem}" for path in sorted((shipped("conf") / group).glob("*.yaml"))]
+
+
+@cache
+def page(command: str, *overrides: str) -> DictConfig:
+    """What a command composes, once for all tests."""
+    return composed(command, *overrides)
 
 
 COMMANDS = [
@@ -41,7 +51,7 @@ def _registered() -> None:
 def test_every_shipped_page_composes_and_becomes_its_objects(command: str, overrides: list[str]) -> None:
     if overrides == ["sweep=search"]:
         pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="its sweeper comes with pip install 'sdfnet[search]'")
-    config = composed(command, *overrides)
+    config = page(command, *overrides)
     settings = frozen(config)
     assert type(settings).__name__ == f"{command.title()}Settings"
     assert not OmegaConf.missing_keys(config)
@@ -55,16 +65,18 @@ def test_every_yaml_is_covered_by_the_commands() -> None:
     assert pages <= covered
 
 
-def test_every_command_in_the_comments_of_the_pages_can_be_typed() -> None:
-    comments = [line for path in shipped("conf").rglob("*.yaml") for line in path.read_text().splitlines() if line.startswith("#")]
-    commands = [words for line in comments for words in re.findall(r"python \w+\.py((?: \S+)*)", line)]  # what it does stands behind several spaces
-    assert len(commands) > 20
-    for words in commands:
-        OverridesParser.create().parse_overrides([word for word in shlex.split(words) if word != "-m"])
+def test_every_command_that_is_written_down_can_be_typed(tmp_path: Path) -> None:
+    texts = [path.read_text() for path in (*shipped("conf").rglob("*.yaml"), ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))]
+    # What it does stands behind several spaces or after the quote's end; a line may go on in the next.
+    found = [command for text in texts for command in re.findall(r"python (\w+)\.py((?: [^\s`]+)+)", text.replace("\\\n    ", ""))]
+    commands = sorted({(name, words) for name, words in found if name in SCHEMAS and not re.search(r"\.\.\.|dataset=shelf|sweep=search", words)})
+    assert len(commands) > 30
+    for name, words in commands:
+        check_overrides(name, [word for word in shlex.split(words) if word not in ("-m", "hydra.mode=RUN")])
 
 
 def test_the_papers_experiment_has_the_papers_numbers() -> None:
-    settings = frozen(composed("train", "experiment=paper"))
+    settings = frozen(page("train", "experiment=paper"))
     scene, sampling = settings.dataset.scene, settings.dataset.sampling
     assert (scene.solver.mass, scene.solver.integrator, scene.solver.time_step) == ("consistent", "symplectic_euler", 1e-6)
     assert (scene.recording.duration, scene.recording.frames) == (0.01, 101)
@@ -82,7 +94,7 @@ def test_the_papers_experiment_has_the_papers_numbers() -> None:
 
 @pytest.mark.parametrize("name", ["siren", "hash_grid", "dense_grid", "modulated", "pod", "learned"])
 def test_the_other_small_models_have_the_bytes_of_the_default(name: str) -> None:
-    small, other = (SdfCalculator(frozen(composed("train", f"model={one}")).model, torch.zeros(3), torch.ones(3)).parameter_count for one in ("small", name))
+    small, other = (SdfCalculator(frozen(page("train", f"model={one}")).model, torch.zeros(3), torch.ones(3)).parameter_count for one in ("small", name))
     assert small == 14_977
     assert other == pytest.approx(small, rel=0.025)  # a width more or less is as much
 

@@ -91,8 +91,12 @@ def advice_on(effect: str, case: Case) -> Advice:
 
 def real_change(case: Case, other: Case) -> float:
     """Both really run, with one and the same step: the difference of two steps would count as the effect's."""
-    step = min(plan(*case).time_step, plan(*other).time_step)
-    first, second = (run(plan(replace(scene, solver=replace(scene.solver, time_step=step)), mesh)) for scene, mesh in (case, other))
+    plans = [plan(*case), plan(*other)]
+    step = min(compiled.time_step for compiled in plans)
+    first, second = (
+        run(compiled if compiled.time_step == step else plan(replace(scene, solver=replace(scene.solver, time_step=step)), mesh))
+        for compiled, (scene, mesh) in zip(plans, (case, other), strict=True)
+    )
     return relative_difference(second, first)
 
 

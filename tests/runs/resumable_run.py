@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import pytest
 import torch
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback
@@ -20,12 +19,6 @@ from sdfnet.training.cycle import Phase
 from sdfnet.training.module import SdfTraining
 from sdfnet.training.schedules import Plateau
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
-
-LIGHTNING_ADVICE = [
-    pytest.mark.filterwarnings("ignore:.*does not have many workers"),  # steps are numbers, there is nothing for a worker to do
-    pytest.mark.filterwarnings("ignore:.*your dataloader is not resumable"),  # nor anything to resume: a step is a pure function of its number
-    pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # inside Lightning 2.6
-]
 
 EFFECTS: dict[str, Effect] = {side: PressurePoke(center=(x, 0.0, 0.0), radius=0.03, pressure=2000.0) for side, x in (("left", -0.05), ("right", 0.05))}
 BALL = Dataset(Scene(Sphere(cells=4), EFFECTS, recording=Recording(duration=0.002, frames=5)), Sampling(count=2000, near_surface_count=1000))

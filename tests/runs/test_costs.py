@@ -192,10 +192,6 @@ def test_what_cannot_be_studied_is_refused_at_once(command: Command, capfd: pyte
         ),
         ({"studies": ("training", "queries"), "sweep_folder": "."}, "sweep_folder is read by studies=network, found training, queries; add one to studies"),
         ({"studies": ("distances",), "checkpoint": "."}, "checkpoint is read by studies=network or queries or reconstruction, found distances"),
-        (
-            {"studies": ("training",), "dataset": replace(BALL, sampling=replace(BALL.sampling, near_surface_count=0))},
-            "studies=training measures errors at samples near the surface, found dataset.sampling.near_surface_count=0; raise it, or leave training out",
-        ),
         ({"studies": ("distances",), "motion_share": 0.5}, "motion_share is read by studies=simulation_time, found distances"),
     ],
 )
@@ -291,7 +287,6 @@ def test_sweep_without_a_finished_job_is_refused_and_one_with_others_says_which(
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*does not have many workers.*", "ignore:.*LeafSpec.*")
 def test_every_study_of_the_quick_command_is_measured(command: Command) -> None:
     command("cost", *SMALL)
     with (page_of() / "points.csv").open() as file:

@@ -21,11 +21,6 @@ ISSUE_NAMES = (
     "prepare_seconds",
 )
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*does not have many workers.*"),
-    pytest.mark.filterwarnings("ignore:.*LeafSpec.*"),
-]
-
 
 def test_a_run_leaves_what_the_readme_promises_and_evaluating_its_checkpoint_finds_the_same(
     command: Callable[..., None], newest_result: Callable[[str], Path]

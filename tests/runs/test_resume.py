@@ -14,9 +14,7 @@ from sdfnet.stopping import SIGNALS
 from sdfnet.stopping import Stopped as RunStopped
 from sdfnet.training.checkpoints import TimedCheckpoint
 from sdfnet.training.cycle import phase_at
-from tests.runs.resumable_run import EPOCHS, LIGHTNING_ADVICE, PAPER, TURNS, Journal, Outcome, Recipe, RequireSameEnd, Run, Stopped
-
-pytestmark = LIGHTNING_ADVICE
+from tests.runs.resumable_run import EPOCHS, PAPER, TURNS, Journal, Outcome, Recipe, RequireSameEnd, Run, Stopped
 
 
 def test_the_uninterrupted_run_has_what_resuming_could_get_wrong(recipe: Recipe, whole: Outcome) -> None:

@@ -10,9 +10,7 @@ from sdfnet.cli import commands
 from sdfnet.cli.settings import TrainSettings
 from sdfnet.errors import TrainingError
 from sdfnet.models.networks import RECORD
-from tests.runs.resumable_run import BALL, EPOCHS, LIGHTNING_ADVICE, SMALL, Outcome, Recipe, Run
-
-pytestmark = LIGHTNING_ADVICE
+from tests.runs.resumable_run import BALL, EPOCHS, SMALL, Outcome, Recipe, Run
 
 
 def test_a_checkpoint_between_the_last_step_and_the_epochs_end_is_refused(recipe: Recipe, whole: Outcome, run: Run) -> None:

@@ -18,8 +18,6 @@ SHORT = ("experiment=smoke", "trainer.progress_bar=false", "dataset.scene.geomet
 EVALUATION = ("evaluation.resolution=24", "evaluation.surface_samples=2000", "evaluation.volume_samples=2000", "evaluation.mesh_frames=[]")
 Command = Callable[..., None]
 
-pytestmark = [pytest.mark.filterwarnings("ignore:.*does not have many workers.*"), pytest.mark.filterwarnings("ignore:.*LeafSpec.*")]
-
 
 @pytest.fixture
 def tell(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:

@@ -4,9 +4,7 @@ from dataclasses import replace
 
 from sdfnet.training.cycle import Phase
 from sdfnet.training.settings import TrainingSettings
-from tests.runs.resumable_run import LIGHTNING_ADVICE, SMALL, Recipe, Run
-
-pytestmark = LIGHTNING_ADVICE
+from tests.runs.resumable_run import SMALL, Recipe, Run
 
 
 def test_training_brings_the_error_down(run: Run) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
 import torch
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback
@@ -18,11 +17,6 @@ from sdfnet.scene import Dataset, Effect, Recording, Sampling, Scene
 from sdfnet.training.cycle import Phase
 from sdfnet.training.module import SdfTraining
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
-
-LIGHTNING_ADVICE = [
-    pytest.mark.filterwarnings("ignore:.*does not have many workers"),  # steps are numbers, there is nothing for a worker to do
-    pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # inside Lightning 2.6
-]
 
 FRAMES = 5
 EFFECTS: dict[str, Effect] = {side: PressurePoke(center=(x, 0.0, 0.0), radius=0.03, pressure=3000.0) for side, x in (("left", -0.05), ("right", 0.05))}

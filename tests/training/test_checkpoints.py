@@ -13,9 +13,7 @@ from sdfnet.models.networks import RECORD, load_networks
 from sdfnet.training import checkpoints
 from sdfnet.training.checkpoints import TimedCheckpoint, require_same_run, save_checkpoint
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
-from tests.training.short_run import BOTH, FRAMES, LIGHTNING_ADVICE, MODEL, SHARED, SOAP, Start
-
-pytestmark = LIGHTNING_ADVICE
+from tests.training.short_run import BOTH, FRAMES, MODEL, SHARED, SOAP, Start
 
 
 @pytest.fixture
@@ -55,6 +53,17 @@ def test_a_checkpoint_that_cannot_be_written_is_an_error_and_spares_the_last_one
         save_checkpoint(trainer, Path("latest.ckpt"))
     assert Path("latest.ckpt").read_text() == "the last"
     assert [path.name for path in Path().iterdir()] == ["latest.ckpt"]
+
+
+@pytest.mark.parametrize("optimizer", [OptimizerSettings(), SOAP], ids=["plateau", "cosine"])
+def test_a_run_whose_seconds_are_over_takes_no_further_step(start: Start, tmp_path: Path, optimizer: OptimizerSettings) -> None:
+    training = TrainingSettings(epochs=1000, cycle=BOTH, seconds=0.1)
+    whole = start(SHARED, training, optimizer).fit()
+    whole.trainer.save_checkpoint(tmp_path / "last.ckpt")
+    again = start(SHARED, training, optimizer)
+    again.trainer.fit(again.module, datamodule=again.family, ckpt_path=tmp_path / "last.ckpt", weights_only=True)
+    assert again.trainer.fit_loop.total_batch_idx == whole.trainer.fit_loop.total_batch_idx > 0
+    assert all(torch.equal(one, other) for one, other in zip(again.module.networks.parameters(), whole.module.networks.parameters(), strict=True))
 
 
 def plain(value: Any) -> bool:

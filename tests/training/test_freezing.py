@@ -10,9 +10,7 @@ import torch
 from sdfnet.training.cycle import Phase
 from sdfnet.training.module import SdfTraining
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
-from tests.training.short_run import BOTH, LIGHTNING_ADVICE, SHARED, SOAP, TURNS, Before, Start
-
-pytestmark = LIGHTNING_ADVICE
+from tests.training.short_run import BOTH, SHARED, SOAP, TURNS, Before, Start
 
 
 def state_of(module: SdfTraining) -> dict[str, Any]:

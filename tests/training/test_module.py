@@ -8,9 +8,7 @@ import torch
 from sdfnet.training.losses import alpha_latent, latent_loss
 from sdfnet.training.module import SdfTraining
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
-from tests.training.short_run import BOTH, FRAMES, LIGHTNING_ADVICE, PAIRS, SHARED, SOAP, TURNS, Start
-
-pytestmark = LIGHTNING_ADVICE
+from tests.training.short_run import BOTH, FRAMES, PAIRS, SHARED, SOAP, TURNS, Start
 
 
 def test_the_loss_of_a_pair_is_equation_1(start: Start, first_weights: SdfTraining) -> None:

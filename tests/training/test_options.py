@@ -14,14 +14,12 @@ from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.errors import ConfigurationError, TrainingError
 from sdfnet.models.networks import RECORD, load_networks
 from sdfnet.models.settings import ModelSettings
-from sdfnet.training.fitting import quickest_precision
+from sdfnet.training.fitting import resolved_precision
 from sdfnet.training.losses import eikonal_loss, latent_norm_loss, normal_loss
 from sdfnet.training.module import SdfTraining
 from sdfnet.training.objective import EIKONAL_STRIDE, Objective
 from sdfnet.training.settings import TrainingSettings
-from tests.training.short_run import BALL, BOTH, LIGHTNING_ADVICE, SHARED, SOAP, TURNS, Before, Run, Start
-
-pytestmark = [*LIGHTNING_ADVICE, pytest.mark.filterwarnings("ignore:.*your dataloader is not resumable")]  # a step is a pure function of its number
+from tests.training.short_run import BALL, BOTH, SHARED, SOAP, TURNS, Before, Run, Start
 
 STEPS = 150
 GRID = {"grid_levels": 3, "grid_resolution": 2, "grid_table_size": 100}
@@ -207,4 +205,5 @@ def test_quickest_precision_is_that_of_the_device_that_trains(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: has_cuda)
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": has_tiles})
-    assert quickest_precision(accelerator) == quickest
+    assert resolved_precision("auto", accelerator) == quickest
+    assert resolved_precision("bf16-true", accelerator) == "bf16-true", "what was asked for"

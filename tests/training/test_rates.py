@@ -8,9 +8,7 @@ from sdfnet.training import module as module_file
 from sdfnet.training.module import SdfTraining
 from sdfnet.training.schedules import Plateau, decay
 from sdfnet.training.settings import OptimizerSettings, TrainingSettings
-from tests.training.short_run import BOTH, FRAMES, LIGHTNING_ADVICE, PAIRS, SHARED, SOAP, Before, Start
-
-pytestmark = LIGHTNING_ADVICE
+from tests.training.short_run import BOTH, FRAMES, PAIRS, SHARED, SOAP, Before, Start
 
 
 def test_the_papers_two_plateaus_on_two_networks_are_four_schedulers(start: Start) -> None:

@@ -15,6 +15,7 @@ from sdfnet.cli.board import write_board
 from sdfnet.cli.muted import muted
 from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import EvaluateSettings, PrepareSettings, TrainSettings
+from sdfnet.cost.machine import machine
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.prepare import prepare as prepare_files
 from sdfnet.data.prepare import prepare_mesh
@@ -32,7 +33,7 @@ from sdfnet.physics.advisor import lines as advice_lines
 from sdfnet.physics.plan import plan
 from sdfnet.physics.trajectory import Trajectory
 from sdfnet.training.checkpoints import TimedCheckpoint, save_checkpoint
-from sdfnet.training.fitting import keep_freed_memory, quickest_precision, steps_need_no_workers
+from sdfnet.training.fitting import keep_freed_memory, resolved_precision, steps_need_no_workers
 from sdfnet.training.module import SdfTraining
 
 
@@ -59,6 +60,8 @@ def train(settings: TrainSettings, output: Path) -> float:
     run = {
         "configuration": settings.key,
         "device": str(trainer.strategy.root_device),
+        "precision": trainer.precision,
+        **machine(),
         "seed": settings.seed,
         "split": settings.split,
         "files": family.file_names,
@@ -134,7 +137,7 @@ def _trainer(settings: TrainSettings, output: Path, board: TensorBoardLogger, la
     return Trainer(
         accelerator=chosen.accelerator,
         devices=1,
-        precision=quickest_precision(chosen.accelerator) if chosen.precision == "auto" else chosen.precision,  # type: ignore[arg-type]
+        precision=resolved_precision(chosen.precision, chosen.accelerator),
         max_epochs=settings.training.epochs,
         check_val_every_n_epoch=settings.training.validate_every,
         log_every_n_steps=1,

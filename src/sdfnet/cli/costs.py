@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from hydra.core.hydra_config import HydraConfig
 
-from sdfnet.cli.earlier_run import key_of
 from sdfnet.cli.muted import muted
 from sdfnet.cli.screen import screen
 from sdfnet.cli.settings import STUDIES, CostSettings, TrainSettings
@@ -36,7 +35,7 @@ from sdfnet.cost.simulation_study import simulation_time_study
 from sdfnet.cost.space_study import simulation_space_study
 from sdfnet.cost.studies import Point, Study
 from sdfnet.cost.sweep_report import command_of
-from sdfnet.cost.sweep_table import Job, read_jobs
+from sdfnet.cost.sweep_table import Job, overridden, read_jobs
 from sdfnet.cost.throughput import Throughput, measured_throughput
 from sdfnet.cost.training_study import FULL, QUICK, Trained, training_study
 from sdfnet.data.datamodule import ShapeFamily
@@ -46,7 +45,7 @@ from sdfnet.errors import ConfigurationError, SdfnetError
 from sdfnet.evaluation.reconstruct import Grid
 from sdfnet.models.networks import Networks
 from sdfnet.physics.plan import plan
-from sdfnet.training.fitting import keep_freed_memory
+from sdfnet.training.fitting import keep_freed_memory, resolved_precision
 
 logger = logging.getLogger(__name__)
 
@@ -200,6 +199,7 @@ def _write(bench: Bench, output: Path, found: Sequence[Study], summary: Sequence
     made_with: dict[str, Any] = {
         "seconds by study": ", ".join(f"{name} {value:.0f}" for name, value in seconds.items()),
         "threads": torch.get_num_threads(),
+        "precision of trainings": resolved_precision(settings.precision, "cpu"),
         "load of the machine before and after": f"{load_before:.2f}, {os.getloadavg()[0]:.2f}",
         **machine(),
         **versions(),
@@ -234,5 +234,5 @@ def _command(whole: Whole) -> str:
         return ""
     of_studies = {entry.name for entry in fields(CostSettings)} - {entry.name for entry in fields(TrainSettings)}
     chosen = [*whole.overrides, "trainer.accelerator=cpu"]
-    typed = [f"trainer.{line.lstrip('+')}" if key_of(line) == "precision" else line for line in HydraConfig.get().overrides.task]
-    return command_of([line for line in typed if key_of(line) not in of_studies.union(map(key_of, chosen))] + chosen)
+    typed = [f"trainer.{line.lstrip('+')}" if overridden(line) == "precision" else line for line in HydraConfig.get().overrides.task]
+    return command_of([line for line in typed if overridden(line) not in of_studies.union(map(overridden, chosen))] + chosen)

@@ -120,12 +120,15 @@ class SdfTraining(LightningModule):
         self._family.to(self.device)
         self._entered = None
         self._began = time.perf_counter() - self.train_seconds
+        self.trainer.should_stop = self._share_of_seconds() >= 1  # a run that goes on after its last step only ends again
 
     def on_train_end(self) -> None:
         """Note how long training took, what came before a resume included; say so when frames have no surface."""
         self.train_seconds = time.perf_counter() - self._began
         if self._lost_frames:
-            logger.warning("training ended with a network that has no surface in frames %s: there its distances have one sign; train longer", self._lost_frames)
+            logger.warning(
+                "the network had no surface in frames %s when it was last validated: there its distances have one sign; train longer", self._lost_frames
+            )
 
     @property
     def phase(self) -> PhaseAt:
