@@ -49,8 +49,12 @@ def test_a_grid_too_coarse_for_the_solid_says_that_it_has_no_surface(trajectory:
         distances_where_it_may_be(coarse, Grid(samples.box.lower, samples.box.upper, 20)).surface(0)
 
 
-def test_stored_distances_are_marched_sparsely_with_the_triangles_of_the_whole_grid(trajectory: Trajectory, samples: DistanceSamples) -> None:
-    field, grid = GridField.of(trajectory, Grid(samples.box.lower, samples.box.upper, 12)), Grid(samples.box.lower, samples.box.upper, 40)
+def test_stored_distances_are_marched_sparsely_with_the_triangles_of_the_whole_grid(samples: DistanceSamples) -> None:
+    """Of a large ball and of a small one that moves between the points that are all asked for, and that only slopes find."""
+    coarse, grid = Grid(samples.box.lower, samples.box.upper, 12), Grid(samples.box.lower, samples.box.upper, 40)
+    places = [coarse.points_at(np.array([(2 * 12 + 2) * 12 + frame + 5])) for frame in range(4)]
+    balls = [torch.minimum(coarse.points().norm(dim=1) - 0.03, (coarse.points() - place).norm(dim=1) - 0.012) for place in places]
+    field = GridField(torch.stack(balls).reshape(4, 12, 12, 12).numpy(), coarse.lower, coarse.upper)
     asked: list[int] = []
     distances = field.distances
 

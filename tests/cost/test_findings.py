@@ -1,9 +1,11 @@
 """Sentences and the cheapest whole, on points whose answer can be seen."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
+from sdfnet.cost import studies
 from sdfnet.cost.findings import cheapest_whole, findings_of, front_of, unmeasured
 from sdfnet.cost.studies import BYTES, EXACT_MM, Point, Study, Timing, duration_text, interleaved
 
@@ -151,6 +153,19 @@ def test_interleaved_timing_takes_turns_and_leaves_out_the_warm_up() -> None:
     timings = interleaved({"a": lambda: called.append("a"), "b": lambda: called.append("b")}, repeats=3, warm_up=1)
     assert called == ["a", "b"] * 4
     assert timings["a"].repeats == 3
+
+
+def test_a_short_task_is_called_until_its_time_has_passed_and_counts_with_the_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, called = [0.0], {"short": 0, "long": 0}
+
+    def task(name: str, seconds: float) -> None:
+        called[name] += 1
+        now[0] += seconds
+
+    monkeypatch.setattr(studies, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    timings = interleaved({"short": lambda: task("short", 0.25), "long": lambda: task("long", 4.0)}, repeats=2, least_seconds=1.0)
+    assert called == {"short": 3 * 4, "long": 3}
+    assert (timings["short"].median, timings["long"].median) == (0.25, 4.0)
 
 
 def test_timing_is_the_median_with_its_spread_and_can_be_shared_out() -> None:

@@ -477,9 +477,9 @@ def test_trainings_of_a_sweep_that_is_told_to_stop_end_with_a_checkpoint() -> No
 @pytest.mark.slow
 def test_search_goes_on_with_what_it_knows() -> None:
     pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="its sweeper comes with pip install 'sdfnet[search]'")
-    search = [*SWEEP[:3], *TINY, "sweep=search", "hydra.sweeper.n_trials=2", "hydra.sweeper.n_jobs=1"]
-    for jobs in (2, 4):
-        done = subprocess.run(search, capture_output=True, text=True, check=False)
+    search = [*SWEEP[:3], *TINY, "sweep=search", "hydra.sweeper.n_trials=2", "hydra.sweeper.n_jobs=1", "hydra.sweep.dir=search"]
+    for seed, jobs in ((0, 2), (0, 2), (1, 4)):  # a few trials of one seed are the same trials: what is finished is found again
+        done = subprocess.run([*search, f"hydra.sweeper.sampler.seed={seed}"], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         assert f"{jobs} of {jobs} jobs finished" in done.stdout
 
