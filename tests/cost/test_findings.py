@@ -75,6 +75,17 @@ def test_cheapest_whole_says_what_a_study_of_a_part_measured() -> None:
     assert "Errors are those of the first ms." in findings_of(of_a_part)
 
 
+def test_cheapest_whole_leaves_out_a_training_whose_network_had_no_surface() -> None:
+    before = cheapest_whole(STUDIES, 0.45, 7.0)
+    assert before is not None
+    lost = Point("network", "as trained", failure="no surface", overrides=before.points[2].overrides)
+    found = cheapest_whole([*STUDIES, study("network_frame", lost)], 0.45, 7.0)
+    assert found is not None
+    assert lost.overrides not in [one.overrides for one in found.points]
+    other = replace(lost, method="KNN-1")
+    assert cheapest_whole([*STUDIES, study("network_frame", other)], 0.45, 7.0) == before
+
+
 def test_error_of_the_tet_mesh_is_told_beside_the_sum_where_it_was_measured() -> None:
     quadratic = point(0.0, 9.0, "P2", is_reference=True, is_default=True)
     found = [cheapest_whole([*STUDIES, study("simulation_space", *own, quadratic)], 0.45, 7.0) for own in ((), (point(0.2, 1.0, is_default=True),))]
@@ -179,5 +190,6 @@ def test_durations_are_told_in_the_unit_that_suits_them() -> None:
 
 
 def test_large_factors_are_written_out() -> None:
+    assert "Along the front a tenth of the error costs the same time." in findings_of(study("training", point(1.0, 1.0), point(0.01, 1.02)))
     assert "Along the front a tenth of the error costs 34,000 times the time." in findings_of(study("training", point(1.0, 1e-3), point(0.1, 34.2)))
     assert "Along the front a tenth of the error costs 34,000,000 times the time." in findings_of(study("training", point(1.0, 1e-6), point(0.1, 34.2)))

@@ -86,7 +86,7 @@ def trained(trajectory: Trajectory, samples: DistanceSamples, folder: Path, vert
 
 def test_more_bytes_are_less_error_along_every_series(shapes: dict[tuple[str, str], MeasuredShape]) -> None:
     for method, less, more in (
-        ("POD, exact query", "1 modes", "3 modes"),
+        ("POD, exact query", "1 mode", "3 modes"),
         ("kept frames, exact query", "every 3", "every 1"),
         ("grid of distances", "8^3", "16^3"),
     ):
@@ -98,7 +98,7 @@ def test_more_bytes_are_less_error_along_every_series(shapes: dict[tuple[str, st
 
 
 def test_errors_are_the_mean_and_the_worst_of_the_measured_frames(trajectory: Trajectory, shapes: dict[tuple[str, str], MeasuredShape]) -> None:
-    pod = shapes["POD, exact query", "1 modes"]
+    pod = shapes["POD, exact query", "1 mode"]
     model = pod.candidate.make()
     by_frame = [
         surface_errors(model.surface(frame), trajectory.surface(frame), trajectory.mesh.diagonal, SMALL.surface_samples).chamfer_l1_mm

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from sdfnet.cost import throughput
-from sdfnet.cost.throughput import _PlainNetworks, measured_throughput, plain_training
+from sdfnet.cost.throughput import Throughput, _PlainNetworks, measured_throughput, plain_training
 from sdfnet.data.datamodule import ShapeFamily
 from sdfnet.data.settings import BatchSettings
 from sdfnet.errors import ConfigurationError, TrainingError
@@ -50,6 +50,7 @@ def test_speeds_are_measured_over_all_rounds_whatever_limits_the_training(ball_f
     monkeypatch.setattr(throughput, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
     speed = measured_throughput(ball_family, MODEL, replace(TRAINING, seconds=1e-3, epochs=1), OPTIMIZER, "32-true")
     assert speed.plain == 4.5, "the median without the first round"
+    assert Throughput(3e6, 6e5).words().endswith("0.6 million: 5.0 times as many.")
     settings = ball_family.batch
     assert settings.points_per_step is not None
     assert speed.sdfnet == settings.frames_per_step * settings.points_per_step * ball_family.steps_per_epoch / 0.25

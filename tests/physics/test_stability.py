@@ -126,6 +126,7 @@ def test_the_tet_that_is_named_is_the_one_with_the_highest_frequency_by_itself(e
     x, y, z = mesh.nodes[mesh.tets[worst]].mean(axis=0)
     assert limits.governing.startswith(f"tet {worst} at ({x:.4g}, {y:.4g}, {z:.4g}) m, smallest altitude {mesh.smallest_altitudes[worst]:.3g} m; without")
     assert limits.lines()[-1] == f"governed by {limits.governing}"
+    assert f"{limits.courant:.3g} s, {limits.courant / limits.lumped:.2g} and" in limits.words()
 
 
 @pytest.mark.parametrize("scheme", [Leapfrog, SymplecticEuler])

@@ -429,6 +429,7 @@ def test_processes_of_a_sweep_know_the_plugins_and_a_job_that_fails_is_a_row_wit
     assert finished["status"] == "finished"
     assert float(finished["chamfer_l1_mm_mean"]) > 0
     (result,) = Path("outputs/sweep").rglob("result.json")
+    assert "GPU available" not in (result.parent / "training.log").read_text(), "what Lightning says of every training"
     assert json.loads(result.read_text())["configuration"] == json.loads((result.parent / "job.json").read_text())["configuration"]  # both processes agree
 
 

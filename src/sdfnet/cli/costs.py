@@ -164,7 +164,8 @@ def cost(settings: CostSettings, output: Path) -> None:
             found += _made(bench, name)
             seconds[name] = time.perf_counter() - began
             summary = _summary(bench, found)
-            _write(bench, output, found, summary, seconds, load_before)
+            coming = [later for later in STUDIES if later in settings.studies and later not in seconds]
+            _write(bench, output, found, [*summary, *([f"Not measured yet, or stopped before: {', '.join(coming)}."] if coming else [])], seconds, load_before)
     console = screen()
     console.print("\n".join(text_of(found, summary)))
     console.print(f"written to {output}; open {output / 'report.html'}")
@@ -213,8 +214,8 @@ def _summary(bench: Bench, found: Sequence[Study]) -> list[str]:
     """What stands above the studies: the cheapest whole for each wanted accuracy, step limits and training speed."""
     lines = _cheapest_runs(bench, found)
     if any(study.name == "simulation_time" for study in found):
-        lines += ["This integrator has no stability limit."] if bench.limits is None else bench.limits.lines()
-    return lines + ([] if bench.speed is None else bench.speed.lines())
+        lines.append("This integrator has no stability limit." if bench.limits is None else bench.limits.words())
+    return lines + ([] if bench.speed is None else [bench.speed.words()])
 
 
 def _cheapest_runs(bench: Bench, found: Sequence[Study]) -> list[str]:

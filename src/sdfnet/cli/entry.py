@@ -86,11 +86,11 @@ def _main(name: str) -> None:
     def job(config: DictConfig) -> float | tuple[float, ...] | None:
         output = Path(HydraConfig.get().runtime.output_dir)
         try:
-            for chatty in ("skfem", "lightning.pytorch"):
-                logging.getLogger(chatty).setLevel(logging.WARNING)
             if name == "train" and HydraConfig.get().mode is RunMode.MULTIRUN:
                 return importlib.import_module("sdfnet.cli.sweep").run_job(config)
             home = importlib.import_module(HOMES.get(name, "sdfnet.cli.commands"))  # late: composing and its errors do not wait for Lightning
+            for chatty in ("skfem", "lightning.pytorch"):  # Lightning sets its own when it is imported
+                logging.getLogger(chatty).setLevel(logging.WARNING)
             command: Command = getattr(home, name)
             return command(frozen(config), output)
         except SdfnetError as error:

@@ -81,7 +81,7 @@ def findings_of(study: Study) -> list[str]:
         sentences.append(f"{cheapest_is}: {front[-1].words()}.")
     factor = factor_per_digit([point.pair for point in front])
     if factor is not None:
-        sentences.append(f"Along the front a tenth of the error costs {_times(factor)} the {cost}.")
+        sentences.append(f"Along the front a tenth of the error costs {'the same' if factor < SAME else f'{_times(factor)} the'} {cost}.")
     if bend is not None:
         sentences.append(f"The knee is {bend.words()}.")
     sentences += [_of_default(point, front) for point in study.points if point.is_default and point.is_measured and not point.is_reference]
@@ -93,15 +93,16 @@ def findings_of(study: Study) -> list[str]:
 def cheapest_whole(studies: Sequence[Study], wanted_mm: float, mesh_seconds: float) -> Whole | None:
     """The cheapest points, one of each study of the whole, whose errors add up to at most `wanted_mm`; None where one was not measured.
 
-    Only what a command can be told to do is chosen. Seconds are scaled from what each study ran to the whole run; those of
-    the reconstruction are of one network, whichever is chosen. Errors are added as if they all pointed the same way; those
+    Only what a command can be told to do is chosen, and no training whose network was found without a surface. Seconds are
+    scaled from what each study ran to the whole run; those of the reconstruction are of one network, whichever is chosen. Errors are added as if they all pointed the same way; those
     of a study of a part of the motion are that part's. The error of the tet mesh is not among them: it is that of another
     solution, and the accuracy is about the simulated solid.
     """
     if unmeasured(studies):
         return None
     by_name = {study.name: study for study in studies}
-    stages = [_for_the_whole(by_name[name]) for name in STUDIES_OF_THE_WHOLE]
+    lost = {point.overrides for study in studies for point in study.points if study.name == "network_frame" and point.method == "network" and point.failure}
+    stages = [[point for point in _for_the_whole(by_name[name]) if name != "training" or point.overrides not in lost] for name in STUDIES_OF_THE_WHOLE]
     places = cheapest([[point.pair for point in points] for points in stages], wanted_mm)
     chosen = () if places is None else tuple(points[place] for points, place in zip(stages, places, strict=True))
     little = WORTH_A_SETTING * sum(point.pair[1] for point in chosen)

@@ -152,7 +152,7 @@ def baseline_candidates(trajectory: Trajectory, samples: DistanceSamples, grid: 
         return on_whole_grid(NearestSampleField(samples, count or kept), grid)
 
     return [
-        *[Candidate("POD, exact query", f"{modes} modes", partial(pod, modes)) for modes in effort.modes if modes <= len(vertices)],
+        *[Candidate("POD, exact query", f"{modes} mode{'s' * (modes > 1)}", partial(pod, modes)) for modes in effort.modes if modes <= len(vertices)],
         *[Candidate("kept frames, exact query", f"every {stride}", partial(interpolated, stride)) for stride in effort.strides],
         *[Candidate("grid of distances", f"{points}^3", partial(stored, points)) for points in effort.grid_points],
         *[Candidate("KNN-1", f"{count or kept:,} samples", partial(nearest, count)) for count in effort.nearest_samples if count <= kept],

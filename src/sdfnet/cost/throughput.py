@@ -45,13 +45,12 @@ class Throughput:
         """How many times faster sdfnet trains."""
         return self.sdfnet / self.plain
 
-    def lines(self) -> list[str]:
-        """The two numbers and their ratio, for the screen."""
-        return [
-            f"plain loop (DataLoader, whole shapes, eager, float32, concatenated input){self.plain / 1e6:9.3f} million pairs/s",
-            f"sdfnet as train.py runs it, Lightning included{self.sdfnet / 1e6:36.3f} million pairs/s",
-            f"ratio {self.ratio:.1f}",
-        ]
+    def words(self) -> str:
+        """The two numbers and their ratio in a sentence."""
+        return (
+            f"Training sees {self.sdfnet / 1e6:.3g} million pairs of shape and point a second as train.py runs it, Lightning included; a plain loop of the "
+            f"same network (DataLoader, whole shapes, eager, float32, concatenated input) {self.plain / 1e6:.3g} million: {self.ratio:.1f} times as many."
+        )
 
 
 def measured_throughput(family: ShapeFamily, model: ModelSettings, training: TrainingSettings, optimizer: OptimizerSettings, precision: str) -> Throughput:

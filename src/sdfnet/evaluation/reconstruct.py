@@ -124,4 +124,6 @@ def _require_surface(field: np.ndarray, is_inside: np.ndarray) -> None:
     inside = {f"the {side} {'xyz'[axis]} face": int(is_inside.take(index, axis=axis).sum()) for axis, side, index in sides}
     cut = ", ".join(f"{count} on {face}" for face, count in inside.items() if count)
     if cut:
-        raise ReconstructionError(f"the surface must close inside the grid, found points inside it on the box: {cut}; enlarge the box")
+        raise ReconstructionError(
+            f"the surface must close inside the grid, found points inside it on the box: {cut}; enlarge the box if the solid leaves it, else train longer"
+        )

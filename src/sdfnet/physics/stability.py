@@ -41,6 +41,13 @@ class StepLimits:
         undamped = self.stable_fraction * (self.lumped if mass == "lumped" else self.consistent)
         return damped_limit(2 / undamped, self.damping) if self.damping else undamped
 
+    def words(self) -> str:
+        """The true limits and the paper's in a sentence."""
+        return (
+            f"The longest stable step is {self.lumped:.3g} s with lumped mass and {self.consistent:.3g} s with consistent mass; the paper's h/c gives "
+            f"{self.courant:.3g} s, {self.courant / self.lumped:.2g} and {self.courant / self.consistent:.2g} times that."
+        )
+
     def lines(self) -> list[str]:
         """A table of all six for the screen."""
         rows = [
