@@ -94,9 +94,9 @@ def cheapest_whole(studies: Sequence[Study], wanted_mm: float, mesh_seconds: flo
     """The cheapest points, one of each study of the whole, whose errors add up to at most `wanted_mm`; None where one was not measured.
 
     Only what a command can be told to do is chosen, and no training whose network was found without a surface. Seconds are
-    scaled from what each study ran to the whole run; those of the reconstruction are of one network, whichever is chosen. Errors are added as if they all pointed the same way; those
-    of a study of a part of the motion are that part's. The error of the tet mesh is not among them: it is that of another
-    solution, and the accuracy is about the simulated solid.
+    scaled from what each study ran to the whole run; those of the reconstruction are of one network, whichever is chosen.
+    Errors are added as if they all pointed the same way; those of a study of a part of the motion are that part's. The error
+    of the tet mesh is not among them: it is that of another solution, and the accuracy is about the simulated solid.
     """
     if unmeasured(studies):
         return None
