@@ -60,7 +60,8 @@ SET_ASIDE = "earlier"  # the folder in a sweep's for what jobs cannot go on with
 def sweep(start: Callable[[], None], composed: DictConfig) -> None:
     """Let Hydra run the sweep in a folder that the same command finds again, then print its table; exit with 1 when a job did not finish.
 
-    Raises ConfigurationError before the first job for a wrong target or objectives, a folder that is not known yet, or values that cannot be tried one by one.
+    Raises ConfigurationError before the first job for a wrong target or objectives, a folder that is not known yet or that another sweep runs in, or values
+    that cannot be tried one by one.
     """
     overrides, target = typed(), frozen(composed.target)
     folder = folder_of_sweep(composed, overrides)
