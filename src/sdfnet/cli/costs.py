@@ -163,9 +163,8 @@ def cost(settings: CostSettings, output: Path) -> None:
             began = time.perf_counter()
             found += _made(bench, name)
             seconds[name] = time.perf_counter() - began
-            summary = _summary(bench, found)
-            coming = [later for later in STUDIES if later in settings.studies and later not in seconds]
-            _write(bench, output, found, [*summary, *([f"Not measured yet, or stopped before: {', '.join(coming)}."] if coming else [])], seconds, load_before)
+            summary = _summary(bench, found, [later for later in STUDIES if later in settings.studies and later not in seconds])
+            _write(bench, output, found, summary, seconds, load_before)
     console = screen()
     console.print("\n".join(text_of(found, summary)))
     console.print(f"written to {output}; open {output / 'report.html'}")
@@ -210,12 +209,14 @@ def _write(bench: Bench, output: Path, found: Sequence[Study], summary: Sequence
     write_json(output / "cost.json", {"settings": described(settings), "made_with": made_with, "studies": described(found)})
 
 
-def _summary(bench: Bench, found: Sequence[Study]) -> list[str]:
-    """What stands above the studies: the cheapest whole for each wanted accuracy, step limits and training speed."""
+def _summary(bench: Bench, found: Sequence[Study], coming: Sequence[str]) -> list[str]:
+    """What stands above the studies: the cheapest whole for each wanted accuracy, step limits and training speed, and which studies are still to come."""
     lines = _cheapest_runs(bench, found)
     if any(study.name == "simulation_time" for study in found):
         lines.append("This integrator has no stability limit." if bench.limits is None else bench.limits.words())
-    return lines + ([] if bench.speed is None else [bench.speed.words()])
+    if bench.speed is not None:
+        lines.append(bench.speed.words())
+    return lines + ([f"Not measured yet, or stopped before: {', '.join(coming)}."] if coming else [])
 
 
 def _cheapest_runs(bench: Bench, found: Sequence[Study]) -> list[str]:

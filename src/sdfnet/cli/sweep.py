@@ -7,8 +7,8 @@ be killed: that is a row in the sweep's table, and the other jobs go on.
 import os
 import sys
 import traceback
-from collections.abc import Callable, Collection, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -67,22 +67,6 @@ def sweep(start: Callable[[], None], composed: DictConfig) -> None:
     folder = folder_of_sweep(composed, overrides)
     planned = planned_jobs(composed, overrides)
     require_objectives(composed, target)
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with FileLock(folder / LOCK_FILE, timeout=0):
-            is_whole = _run_all(start, composed, folder, planned)
-    except Timeout as error:
-        raise ConfigurationError(f"one sweep at a time can run in a folder, found one that runs in '{folder}'; wait for its end") from error
-    if not is_whole:
-        sys.exit(1)
-
-
-def _run_all(start: Callable[[], None], composed: DictConfig, folder: Path, planned: Sequence[list[str]] | None) -> bool:
-    """Let Hydra run the jobs in the folder, and print the table; whether all that were asked for finished."""
-    overrides, target = typed(), frozen(composed.target)
-    write_plan(folder, None if planned is None else {folder_name(job): job for job in planned})
-    (folder / STOP_FILE).unlink(missing_ok=True)
-    given_up = [] if planned is not None else [job.folder for job in read_jobs(folder) if job.result is None]  # a search tries others
     place = sys.argv.index(overrides[0]) + len(overrides) if overrides else len(sys.argv)
     sys.argv[place:place] = [f"hydra.sweep.dir={quoted(folder)}", "hydra.sweep.subdir=.", "hydra.output_subdir=null"]
     os.environ.pop(SWEEP_PROCESS, None)
@@ -91,12 +75,29 @@ def _run_all(start: Callable[[], None], composed: DictConfig, folder: Path, plan
     for name, module in list(sys.modules.items()):
         if name.startswith(PLUGIN_PACKAGE):
             register_pickle_by_value(module)  # a launcher's process has not loaded the plugins when the settings reach it
+    with _alone_in(folder):
+        write_plan(folder, None if planned is None else {folder_name(job): job for job in planned})
+        given_up = [] if planned is not None else [job.folder for job in read_jobs(folder) if job.result is None]  # a search tries others
+        try:
+            with signals_handled(partial(_stop_jobs, folder)) if SWEEP_PROCESS in os.environ else nullcontext():
+                start()
+        finally:  # whatever ended it, what was finished is shown
+            is_whole = finish(folder, target, given_up)
+    if not is_whole:
+        sys.exit(1)
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Keep other sweeps out of a folder, which is made, and forget that one was told to stop in it. Raises ConfigurationError where one runs."""
+    folder.mkdir(parents=True, exist_ok=True)
     try:
-        with signals_handled(partial(_stop_jobs, folder)) if SWEEP_PROCESS in os.environ else nullcontext():
-            start()
-    finally:  # whatever ended it, what was finished is shown
-        is_whole = finish(folder, target, given_up)
-    return is_whole
+        lock = FileLock(folder / LOCK_FILE).acquire(timeout=0)
+    except Timeout as error:
+        raise ConfigurationError(f"one sweep at a time can run in a folder, found one that runs in '{folder}'; wait for its end") from error
+    with lock:
+        (folder / STOP_FILE).unlink(missing_ok=True)
+        yield
 
 
 def _stop_jobs(folder: Path, number: int, frame: FrameType | None = None) -> None:

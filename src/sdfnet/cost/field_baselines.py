@@ -18,7 +18,7 @@ from sdfnet.cost.shape_baselines import DeformedMesh
 from sdfnet.data.store import DistanceSamples
 from sdfnet.errors import ConfigurationError
 from sdfnet.evaluation.baselines import nearest_sample_bytes
-from sdfnet.evaluation.lipschitz import measured_slopes
+from sdfnet.evaluation.lipschitz import frames_to_measure, measured_slopes
 from sdfnet.evaluation.reconstruct import Grid, surface_from_values
 from sdfnet.evaluation.sparse import sparse_values
 from sdfnet.evaluation.sparse_network import SparseReconstruction
@@ -149,8 +149,8 @@ def distances_where_it_may_be(field: GridField, grid: Grid) -> MarchedField:
 
     @cache
     def slopes() -> tuple[float, ...]:
-        points, last = grid.points(), len(field.values) - 1
-        few = [field.distances(frame, points).reshape(grid.shape).numpy() for frame in sorted({0, last // 2, last})]
+        points = grid.points()
+        few = [field.distances(frame, points).reshape(grid.shape).numpy() for frame in frames_to_measure(len(field.values))]
         return measured_slopes(np.stack(few), grid)
 
     def surface(frame: int) -> Surface:

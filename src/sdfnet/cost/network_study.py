@@ -21,7 +21,7 @@ from sdfnet.cost.field_baselines import (
     on_whole_grid,
 )
 from sdfnet.cost.shape_baselines import DeformedMesh, KeptFrames, PodMotion
-from sdfnet.cost.studies import BYTES, SECONDS, Point, Study, Timing, interleaved
+from sdfnet.cost.studies import BYTES, LEAST_SECONDS, SECONDS, Point, Study, Timing, interleaved
 from sdfnet.cost.sweep_table import Job, Row, Target, overrides_alone, rows_of, shared_overrides, short_setting
 from sdfnet.data.store import DistanceSamples, described
 from sdfnet.errors import ConfigurationError, SdfnetError
@@ -35,7 +35,6 @@ from sdfnet.physics.trajectory import Trajectory
 logger = logging.getLogger(__name__)
 
 PARAMETERS = "decoder parameters"
-LEAST_SECONDS = 0.05  # that a timing takes at least, in as many calls as it needs: a first one finds a cache that others have filled
 ALL_SAMPLES = 0  # stands for every sample that a frame keeps in a series of KNN-1
 BY_MEAN = Target(chamfer_l1_mm=1.0, frames="mean")  # rows take the seed in the middle by a target's frames; whether it is reached is not asked about here
 

@@ -4,7 +4,7 @@ from itertools import cycle
 
 import torch
 
-from sdfnet.cost.studies import Point, Study, interleaved
+from sdfnet.cost.studies import LEAST_SECONDS, Point, Study, interleaved
 from sdfnet.data.store import DistanceSamples
 from sdfnet.errors import SdfnetError
 from sdfnet.evaluation.metrics import surface_errors
@@ -20,7 +20,6 @@ from sdfnet.physics.trajectory import Trajectory
 RESOLUTIONS, QUICK_RESOLUTIONS = (32, 48, 64, 100, 144, 200, 256), (32, 64, 100)
 SURFACE_SAMPLES = 65_536  # on each of two surfaces that are compared
 REPEATS, FEW_REPEATS = 5, 2
-LEAST_SECONDS = 0.05  # that a timing takes at least: a single sparse frame finds a cache that the whole grid has filled
 DEAR_RESOLUTION = 144  # beyond it the whole grid takes seconds: few repeats
 WAYS = ("sparse", "whole grid")  # both find the same triangles, so where one has no surface the other has none
 

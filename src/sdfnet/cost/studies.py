@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 SECONDS, BYTES = "seconds", "bytes"  # what a cost may be, besides the counts that a study names
+LEAST_SECONDS = 0.05  # that a timing of something short takes, in as many calls as it needs: a first one finds a cache that others have filled
 EXACT_MM = 1e-9  # stands for an error of zero, which no logarithm shows: a millionth of a micrometre
 
 

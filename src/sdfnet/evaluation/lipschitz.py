@@ -13,6 +13,11 @@ RAISE = 1.25  # what all slopes are multiplied with until the search loses nothi
 SAFETY = 1.1  # and once more, for the frames between those that were measured
 
 
+def frames_to_measure(count: int) -> list[int]:
+    """Which of so many frames the slopes are measured in: the first, the middle and the last."""
+    return sorted({0, count // 2, count - 1})
+
+
 def measured_slopes(values: Float32[np.ndarray, "frames x y z"], grid: Grid) -> tuple[float, ...]:
     """For each of STEPS the L to search other frames of the same field with: enough to lose no point of these, and SAFETY times more.
 

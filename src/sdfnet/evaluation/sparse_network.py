@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Float32, Int64
 from torch import Tensor, nn
 
-from sdfnet.evaluation.lipschitz import measured_slopes
+from sdfnet.evaluation.lipschitz import frames_to_measure, measured_slopes
 from sdfnet.evaluation.reconstruct import Grid, surface_from_values, values_of_frames
 from sdfnet.evaluation.refine import refined_surface
 from sdfnet.evaluation.sparse import SparseValues, sparse_values
@@ -38,7 +38,7 @@ class SparseReconstruction:
     @classmethod
     def measured(cls, decoder: SdfCalculator, grid: Grid, latents: Float[Tensor, "shapes latent"]) -> "SparseReconstruction":
         """With the slopes that the decoder is found to have on the whole grid in the first, the middle and the last of these shapes."""
-        few = latents[sorted({0, len(latents) // 2, len(latents) - 1})]
+        few = latents[frames_to_measure(len(latents))]
         return cls(decoder, grid, measured_slopes(values_of_frames(lambda points: decoder(few, points), grid).numpy(), grid))
 
     def surface(self, latent: Float[Tensor, " latent"]) -> Surface:
