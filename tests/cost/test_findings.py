@@ -78,12 +78,13 @@ def test_cheapest_whole_says_what_a_study_of_a_part_measured() -> None:
 def test_cheapest_whole_leaves_out_a_training_whose_network_had_no_surface() -> None:
     before = cheapest_whole(STUDIES, 0.45, 7.0)
     assert before is not None
-    lost = Point("network", "as trained", failure="no surface", overrides=before.points[2].overrides)
+    trained = before.points[2]
+    lost = Point("network", "as trained", failure="no surface", overrides=trained.overrides, is_default=trained.is_default)
     found = cheapest_whole([*STUDIES, study("network_frame", lost)], 0.45, 7.0)
     assert found is not None
     assert lost.overrides not in [one.overrides for one in found.points]
-    other = replace(lost, method="KNN-1")
-    assert cheapest_whole([*STUDIES, study("network_frame", other)], 0.45, 7.0) == before
+    for other in (replace(lost, method="KNN-1"), replace(lost, is_default=not trained.is_default)):  # the latter is a checkpoint that was given
+        assert cheapest_whole([*STUDIES, study("network_frame", other)], 0.45, 7.0) == before
 
 
 def test_error_of_the_tet_mesh_is_told_beside_the_sum_where_it_was_measured() -> None:

@@ -101,8 +101,11 @@ def cheapest_whole(studies: Sequence[Study], wanted_mm: float, mesh_seconds: flo
     if unmeasured(studies):
         return None
     by_name = {study.name: study for study in studies}
-    lost = {point.overrides for study in studies for point in study.points if study.name == "network_frame" and point.method == "network" and point.failure}
-    stages = [[point for point in _for_the_whole(by_name[name]) if name != "training" or point.overrides not in lost] for name in STUDIES_OF_THE_WHOLE]
+    possible = {name: _for_the_whole(by_name[name]) for name in STUDIES_OF_THE_WHOLE}
+    networks = [point for point in by_name["network_frame"].points if point.method == "network"] if "network_frame" in by_name else []
+    lost = {(point.overrides, point.is_default) for point in networks if point.failure is not None}
+    possible["training"] = [point for point in possible["training"] if (point.overrides, point.is_default) not in lost]
+    stages = list(possible.values())
     places = cheapest([[point.pair for point in points] for points in stages], wanted_mm)
     chosen = () if places is None else tuple(points[place] for points, place in zip(stages, places, strict=True))
     little = WORTH_A_SETTING * sum(point.pair[1] for point in chosen)
